@@ -17,7 +17,6 @@ from cases import CASES
 from meshes import grid_floor, soup
 from raystream.jit.cuda import is_simulated
 from raystream.structures.graph.build import tree_settings_of
-from raystream.structures.graph.structure import settings_of
 from raystream.structures.kdtree.build import build_arrays
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 
@@ -137,7 +136,7 @@ def test_trees_below_graphs_are_the_cpus(device):
 
     triangles = scene_of(*soup(300)).triangles
     count = len(triangles.prim_ids)
-    settings = tree_settings_of(settings_of(rs.Graph(**FINE), count))
+    settings = tree_settings_of(rs.Graph(**FINE), count)
     corners = device.upload("corners", triangles.corners)
     grown = grow_tree(device, triangles, corners, settings)
     numbers = number_nodes(device, grown, count)

@@ -17,11 +17,12 @@ from raystream.kernels.ray import prepare_ray
 from raystream.machines import Branching
 from raystream.structures.kdtree.nodes import is_leaf, leaf_of
 from raystream.structures.kdtree.options import LAYOUTS, TRAVERSALS
-from raystream.structures.kdtree.state import STACK_BYTES, split_ray
+from raystream.structures.kdtree.state import STACK_BYTES
 from raystream.structures.kdtree.structure import KdTreeStructure
 from raystream.structures.kdtree.traversal import descend, initialize
 from raystream.structures.kdtree.traversals import continue_search
 from raystream.structures.kdtree.traversals.backtrack import backtrack
+from raystream.structures.plane_distances import split_ray
 from test_agreement import assert_same_answers, rays_of
 
 FORMS = [(traversal, layout) for layout in LAYOUTS for traversal in TRAVERSALS]

@@ -35,6 +35,7 @@ from raystream.jit.views import view
 from raystream.kernels.aligned import aligned_array
 from raystream.kernels.ray import component
 from raystream.kernels.search import is_full, offer
+from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle_lanes import (
     intersect_lanes,
     plane_distance,
@@ -320,4 +321,16 @@ def intersect_block(block, ray, search, t_in, t_out):
             search = offer(search, t, u, v, load(np.int32, block + (PRIM_IDS + at)))
             if is_full(search):
                 break
+    return search
+
+
+@device
+def search_blocks(block, end, ray, search, t_in, t_out):
+    """Test the blocks of a leaf, until the search is full; see `intersect_block`."""
+    while block != end:
+        add_to(search.counters, TESTS, triangle_count(block))
+        search = intersect_block(block, ray, search, t_in, t_out)
+        if is_full(search):
+            break
+        block += BLOCK
     return search

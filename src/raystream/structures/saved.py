@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import device
+from raystream.core.triangles import Triangles
+from raystream.jit.cpu import kernel
 from raystream.kernels.leaf_block import BLOCK_SIZE
 
 
@@ -47,27 +48,62 @@ def take(
     return np.ascontiguousarray(array).reshape(array.shape)  # a scalar has become 1D
 
 
-@device
-def are_listed(prim_ids, first, count, solid, wanted):
-    """Whether blocks list `count` triangles that can be hit, and -1 in their unused places.
+def solid_mask(triangles: Triangles) -> NDArray[np.bool_]:
+    """Whether each triangle of a scene can be hit."""
+    solid = np.zeros(len(triangles), np.bool_)
+    solid[triangles.prim_ids] = True
+    return solid
+
+
+def check_blocks(
+    prim_ids: NDArray[np.int32],
+    firsts: NDArray[Any],
+    counts: NDArray[Any],
+    solid: NDArray[np.bool_],
+    cell: str,
+) -> None:
+    """Check the lists of triangles from a file, in blocks of four.
 
     Parameters
     ----------
     prim_ids : ndarray of shape (B, 4), int32
-    first, count : int64
-        First block, and number of triangles; all blocks are in `prim_ids`.
+        The triangles of the blocks; -1 in unused places.
+    firsts, counts : ndarray of shape (N,), integers
+        First block and number of triangles of each list.
     solid : ndarray of shape (F,), bool
-        Whether a triangle can be hit.
-    wanted : ndarray of shape (F,), bool
-        Becomes False for those listed.
+        Whether a triangle can be hit: then it must be listed, otherwise it must not.
+    cell : str
+        What has a list, for errors.
+
+    Raises
+    ------
+    ValueError
+        If they are invalid.
     """
-    for i in range(-(-count // BLOCK_SIZE) * BLOCK_SIZE):
-        prim_id = np.int64(prim_ids[first + i // BLOCK_SIZE, i % BLOCK_SIZE])
-        if i >= count:
-            if prim_id != -1:
+    first, count = firsts.astype(np.int64), counts.astype(np.int64)
+    if ((first < 0) | (count < 0) | (first - -count // BLOCK_SIZE > len(prim_ids))).any():
+        raise ValueError(f"a {cell}'s list is out of range")
+    missing = solid.copy()
+    # In all blocks, also those in no list: corners are looked up for each.
+    in_range = prim_ids.min(initial=-1) >= -1 and prim_ids.max(initial=-1) < len(solid)
+    if not (in_range and _are_listed(prim_ids, first, count, solid, missing)):
+        raise ValueError(f"a {cell} lists an invalid triangle, or too few")
+    if missing.any():
+        raise ValueError(f"a triangle of the scene is in no {cell}")
+
+
+@kernel
+def _are_listed(prim_ids, firsts, counts, solid, missing):
+    """Whether lists hold solid triangles, and -1 after them; `missing` becomes false for these."""
+    for row in range(len(firsts)):
+        first, count = firsts[row], counts[row]
+        for i in range(-(-count // BLOCK_SIZE) * BLOCK_SIZE):
+            prim_id = np.int64(prim_ids[first + i // BLOCK_SIZE, i % BLOCK_SIZE])
+            if i >= count:
+                if prim_id != -1:
+                    return False
+                continue
+            if prim_id < 0 or not solid[prim_id]:
                 return False
-            continue
-        if prim_id < 0 or prim_id >= len(solid) or not solid[prim_id]:
-            return False
-        wanted[prim_id] = False
+            missing[prim_id] = False
     return True

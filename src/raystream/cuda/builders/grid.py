@@ -78,9 +78,7 @@ def build_grid(gpu: Gpu, triangles: Triangles, options: Grid) -> GridStructure:
     def make(lattice: Lattice, most: int, _: str) -> DeviceLists:
         return build_lists(gpu, triangles, corners, lattice, most)
 
-    lattice, lists = choose_and_build(
-        triangles, options.counts, options.min_resolution, options.levels, options.is_exact, make
-    )
+    lattice, lists = choose_and_build(triangles, options, make)
     arrays = *lists, corners
     resident = Resident(_addresses(lattice, arrays), arrays)
     made = DeviceGrid(gpu, triangles, options, resident, started)

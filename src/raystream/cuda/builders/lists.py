@@ -26,7 +26,7 @@ from raystream.jit.intrinsics import corners_at
 from raystream.jit.simd import load, store
 from raystream.structures.grid.build import TooManyError
 from raystream.structures.grid.lattice import Lattice
-from raystream.structures.grid.overlap import each_cell, range_along
+from raystream.structures.grid.overlap import cell_ranges, each_cell
 
 
 class DeviceLists(NamedTuple):
@@ -46,10 +46,7 @@ class DeviceLists(NamedTuple):
 def _visit(lattice, corners, prim_id, mark, to):
     """Call `mark` for each cell of a triangle; returns the number of cells."""
     at = corners_at(corners)
-    first_x, last_x = range_along(lattice, at, prim_id, 0)
-    first_y, last_y = range_along(lattice, at, prim_id, 1)
-    first_z, last_z = range_along(lattice, at, prim_id, 2)
-    first, last = (first_x, first_y, first_z), (last_x, last_y, last_z)
+    first, last = cell_ranges(lattice, at, prim_id)
     return each_cell(lattice, at, prim_id, first, last, mark, to)
 
 

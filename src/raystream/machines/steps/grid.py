@@ -38,7 +38,7 @@ from raystream.structures.grid.dda import (
     step_walk,
 )
 from raystream.structures.grid.structure import GridStructure
-from raystream.structures.grid.traversal import clip_to_grid
+from raystream.structures.plane_distances import scene_interval
 
 #: The traversal state of a ray. `outer` is the coarse cell whose lattice the ray traverses, up to
 #: `t_end`; -1 in the coarse lattice. `row` to `end` are the references of its cell that are still
@@ -137,7 +137,7 @@ def set_up(ray, wanted, tree, query, kernel):
     """Find the cell in which a ray begins."""
     count_step(query, wanted, kernel, STEPS, ZERO_U64)
     line = prepared_ray(ray, query)
-    t_in, t_far = clip_to_grid(tree, line, ray.t_min, ray.t_max)
+    t_in, t_far = scene_interval(tree, line, ray.t_min, ray.t_max)
     is_active = tree.splits != NULL and t_in <= t_far
     if not is_active:
         t_in = t_far = np.float32(0.0)

@@ -42,9 +42,9 @@ from raystream.structures.kdtree.state import (
     STACK,
     STACK_BYTES,
     KdState,
-    split_ray,
 )
 from raystream.structures.kdtree.structure import KdTreeStructure
+from raystream.structures.plane_distances import split_ray
 
 #: The traversal state of a ray: `KdState`, the next block of its leaf, and the number of
 #: triangles in it and those after it.

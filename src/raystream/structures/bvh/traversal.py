@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from raystream.jit.constants import INF_F32, ONE_U64
 from raystream.jit.cpu import device
-from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
+from raystream.kernels.leaf_block import block_ray, search_blocks
 from raystream.kernels.search import is_full, wants_any
-from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
+from raystream.kernels.tally import LEAVES, STEPS, add_to
 from raystream.structures.bvh.steps import enter, leaf_blocks
 from raystream.structures.bvh.walks.single import tree_walk
 
@@ -54,13 +54,7 @@ def tree_traversal(search_leaf):
 @device
 def _search_blocks(tree, child, line, search, stack):
     block, end = leaf_blocks(tree, child)
-    while block != end:
-        add_to(search.counters, TESTS, triangle_count(block))
-        search = intersect_block(block, line, search, search.t_min, INF_F32)
-        if is_full(search):
-            break
-        block += BLOCK
-    return search
+    return search_blocks(block, end, line, search, search.t_min, INF_F32)
 
 
 #: Traverse the tree of triangles with a ray.

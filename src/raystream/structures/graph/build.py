@@ -20,8 +20,6 @@ function that represents traversal cost", which is not specified.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,9 +31,10 @@ from raystream.structures.graph.cells import find_cells
 from raystream.structures.graph.layout import SECTOR_ROWS, GraphArrays
 from raystream.structures.graph.links import link_sectors
 from raystream.structures.graph.morton_order import fill_sectors, order_sectors
+from raystream.structures.graph.options import Graph
 from raystream.structures.graph.prune import prune
 from raystream.structures.kdtree.build import build_arrays, root_box
-from raystream.structures.kdtree.layout import LEAF_AXIS
+from raystream.structures.kdtree.layout import LEAF_AXIS, depth_limit
 from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.subtree import BuildSettings
 
@@ -47,44 +46,20 @@ _LINK_SHARE = 0.5
 _TREE_SHARE = 0.75
 
 
-class GraphSettings(NamedTuple):
-    """Settings of the graph builder.
-
-    Attributes
-    ----------
-    crossing_cost, intersection_cost, link_cost : float
-        Cost of a step from sector to sector, of a triangle test, and of a step at a link node;
-        only their ratios matter.
-    empty_bonus : float
-        Discount on the cost of a split that cuts off empty space.
-    max_depth : int
-        Greatest depth of the tree.
-    max_leaf_size : int
-        Cells of at most this many triangles are not split.
-    """
-
-    crossing_cost: float
-    intersection_cost: float
-    link_cost: float
-    empty_bonus: float
-    max_depth: int
-    max_leaf_size: int
-
-
 def graph_box(triangles: Triangles) -> NDArray[np.float32]:
     """The box that sectors tile, shape (2, 3): the kd-tree's."""
     return root_box(triangles)
 
 
 def build_graph(
-    triangles: Triangles, settings: GraphSettings, progress: Progress | None = None
+    triangles: Triangles, options: Graph, progress: Progress | None = None
 ) -> GraphArrays:
     """Build a graph of sectors.
 
     Parameters
     ----------
     triangles : Triangles
-    settings : GraphSettings
+    options : Graph
     progress : callable, optional
         Called with (triangles placed, triangles), including linking.
 
@@ -114,10 +89,10 @@ def build_graph(
         )
     count = len(triangles.prim_ids)
     on_tree = _part(progress, count, 0.0, _TREE_SHARE)
-    tree_settings = tree_settings_of(settings)
-    tree = build_arrays(triangles, tree_settings, on_tree)
+    settings = tree_settings_of(options, count)
+    tree = build_arrays(triangles, settings, on_tree)
     box = graph_box(triangles)
-    tree = prune(tree, find_cells(tree.nodes, box).boxes, tree_settings.costs)
+    tree = prune(tree, find_cells(tree.nodes, box).boxes, settings.costs)
     sector_count = int(np.count_nonzero(tree.nodes[:, 1] & 3 == LEAF_AXIS))
     # Boxes, ropes and links of all nodes of the tree, and the sectors themselves.
     check_memory(78 * len(tree.nodes) + 128 * sector_count, f"{sector_count:,} sectors would")
@@ -131,12 +106,17 @@ def build_graph(
     return GraphArrays(np.concatenate([sectors, links]), sector_count, prim_ids, bins)
 
 
-def tree_settings_of(settings: GraphSettings) -> BuildSettings:
+def tree_settings_of(options: Graph, triangle_count: int) -> BuildSettings:
     """The build settings of a graph's kd-tree."""
-    link = _LINK_SHARE * float(settings.link_cost)
-    crossing = float(settings.crossing_cost) - link
-    costs = Costs(link, float(settings.intersection_cost), float(settings.empty_bonus), crossing)
-    return BuildSettings(costs, settings.max_depth, settings.max_leaf_size)
+    link = _LINK_SHARE * float(options.link_cost)
+    costs = Costs(
+        traversal=link,
+        intersection=float(options.intersection_cost),
+        empty_bonus=0.0,
+        crossing=float(options.crossing_cost) - link,
+    )
+    max_depth = depth_limit(options.max_depth, triangle_count)
+    return BuildSettings(costs, max_depth, options.max_leaf_size)
 
 
 def _part(progress: Progress | None, count: int, begin: float, end: float) -> Progress | None:

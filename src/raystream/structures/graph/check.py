@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import device, kernel
+from raystream.jit.cpu import kernel
 from raystream.jit.threads import parallel_for
 from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.graph.layout import (
@@ -25,205 +25,90 @@ from raystream.structures.graph.layout import (
     VOID,
     GraphArrays,
 )
-from raystream.structures.saved import are_listed, take
-
-_CHUNK = 1 << 12
+from raystream.structures.saved import check_blocks, take
 
 #: Rounding error of the sum of the sectors' volumes, relative.
 _VOLUME_ERROR = 1e-9
 
-_BIT, _NOWHERE, _ROWS = np.int64(NODE_BIT), np.int64(VOID), np.int64(SECTOR_ROWS)
 _NAN = np.float32(np.nan)
 
-# Error codes of kernels.
-_FINE = 0
-_BAD_BOX, _BAD_LIST, _BAD_ID, _BAD_LINK, _BAD_NODE, _BAD_PLANE, _BAD_SIDE = range(1, 8)
-
-_FAULTS = {
-    _BAD_BOX: "a sector has an invalid bounding box",
-    _BAD_LIST: "a sector's list is out of range",
-    _BAD_ID: "a sector lists an invalid triangle, or too few",
-    _BAD_LINK: "a link is out of range",
-    _BAD_NODE: "a link node links to one that comes later, or to nowhere",
-    _BAD_PLANE: "a link node's plane is not between what it links to",
-    _BAD_SIDE: "a face links to sectors that do not touch it",
-}
-
 
 @kernel
-def _check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted):
-    """Check boxes and lists of sectors begin to end; `wanted` becomes false for those listed."""
-    block_count = np.int64(len(prim_ids))
-    for sector in range(begin, end):
-        row = sector * SECTOR_ROWS
-        for axis in range(3):
-            low, high = numbers[row, axis], numbers[row + 1, axis]
-            if not (np.isfinite(low) and np.isfinite(high) and low < high):
-                return _BAD_BOX
-        first, count = np.int64(rows[row, 3]), np.int64(rows[row + 1, 3])
-        if first + (count + BLOCK_SIZE - 1) // BLOCK_SIZE > block_count:
-            return _BAD_LIST
-        if not are_listed(prim_ids, first, count, solid, wanted):
-            return _BAD_ID
-    return _FINE
-
-
-@device
-def _is_sector(link, sector_count):
-    return link < sector_count * _ROWS and link % _ROWS == 0
-
-
-@kernel
-def _check_nodes(rows, numbers, sector_count, sides, hulls):
-    """Check the link nodes, and compute the extent of the sectors behind each.
+def _fill_extents(axes, planes, targets, sides, hulls):
+    """Find the extent of the sectors behind each link node.
 
     Parameters
     ----------
-    rows, numbers : ndarray of shape (R, 4), uint32 and float32
-        The same memory.
-    sector_count : int
-    sides : ndarray of shape (N, 6), float32
-        Written: low x, y, z, high x, y, z common to all sectors behind a node, else NaN.
-    hulls : ndarray of shape (N, 6), float32
-        Written: the bounding box of those sectors.
+    axes, planes : ndarray of shape (N,), uint32 and float32
+        Of the link nodes.
+    targets : ndarray of shape (N, 2), int32
+        The vertices below and above a node's plane: sectors first, then link nodes, which come
+        before those that link to them.
+    sides : ndarray of shape (S + N, 6), float32
+        Low x, y, z, high x, y, z common to all sectors behind a vertex, else NaN: given for
+        sectors, written for nodes.
+    hulls : ndarray of shape (S + N, 6), float32
+        The bounding box of those sectors; likewise.
+
+    Returns
+    -------
+    bool
+        Whether each plane is between what its node links to.
     """
-    first_node = sector_count * _ROWS
-    for row in range(first_node, len(rows)):
-        node, axis, plane = row - first_node, np.int64(rows[row, 1]), numbers[row, 0]
-        if axis > 2:
-            return _BAD_NODE
-        below, above = np.int64(rows[row, 2]), np.int64(rows[row, 3])
-        for link in (below, above):
-            inner = (link & ~_BIT) - first_node
-            if link & _BIT != 0 and (inner < 0 or inner >= node):
-                return _BAD_NODE
-            if link & _BIT == 0 and not _is_sector(link, sector_count):
-                return _BAD_LINK
+    first_node = len(sides) - len(targets)
+    for row in range(len(targets)):
+        node, below, above = first_node + row, targets[row, 0], targets[row, 1]
+        # Sectors below the plane end there, and those above begin there.
+        if not hulls[below, axes[row] + 3] <= planes[row] <= hulls[above, axes[row]]:
+            return False
         for k in range(6):
-            row_of, column = k // 3, k % 3
-            if below & _BIT != 0:
-                inner = (below & ~_BIT) - first_node
-                side, reach = sides[inner, k], hulls[inner, k]
-            else:
-                side = reach = numbers[below + row_of, column]
-            if above & _BIT != 0:
-                inner = (above & ~_BIT) - first_node
-                other_side, other_reach = sides[inner, k], hulls[inner, k]
-            else:
-                other_side = other_reach = numbers[above + row_of, column]
-            # Sectors below the plane end there, and those above begin there.
-            if k == axis and not other_reach >= plane:
-                return _BAD_PLANE
-            if k == axis + 3 and not reach <= plane:
-                return _BAD_PLANE
-            sides[node, k] = side if side == other_side else _NAN
-            hulls[node, k] = min(reach, other_reach) if k < 3 else max(reach, other_reach)
-    return _FINE
+            is_common = sides[below, k] == sides[above, k]
+            sides[node, k] = sides[below, k] if is_common else _NAN
+            low, high = hulls[below, k], hulls[above, k]
+            hulls[node, k] = min(low, high) if k < 3 else max(low, high)
+    return True
 
 
 @kernel
-def _check_links(begin, end, rows, numbers, sector_count, sides, box):
-    """Check that faces of sectors begin to end link to sectors that touch them."""
-    first_node = sector_count * _ROWS
-    node_count = len(rows) - first_node
-    for sector in range(begin, end):
-        row = sector * SECTOR_ROWS
-        for face in range(6):
-            axis, is_high = face >> 1, face & 1
-            link = np.int64(rows[row + 2 + face // 4, face % 4])
-            plane = numbers[row + is_high, axis]
-            if link == _NOWHERE:
-                if plane != box[is_high, axis]:
-                    return _BAD_SIDE
-                continue
-            other = axis + 3 * (1 - is_high)
-            if link & _BIT != 0:
-                node = (link & ~_BIT) - first_node
-                if node < 0 or node >= node_count:
-                    return _BAD_LINK
-                side = sides[node, other]
-            else:
-                if not _is_sector(link, sector_count):
-                    return _BAD_LINK
-                side = numbers[link + other // 3, axis]
-            if side != plane:
-                return _BAD_SIDE
-    return _FINE
-
-
-@device
-def _vertex(link, sector_count):
-    """Number of the vertex that a link leads to: sectors first, then link nodes."""
-    if link & _BIT != 0:
-        return (link & ~_BIT) - sector_count * (_ROWS - 1)
-    return link // _ROWS
-
-
-@kernel
-def _count_node_links(rows, sector_count, degrees):
-    """Add to the degree of each vertex the links of link nodes to it."""
-    for row in range(sector_count * _ROWS, len(rows)):
-        for end in range(2):
-            degrees[_vertex(np.int64(rows[row, 2 + end]), sector_count)] += np.uint32(1)
-
-
-@kernel
-def _is_ordered(octant, rows, sector_count, degrees, ready):
-    """Whether the links of an octant have no cycle: Kahn's topological sort.
+def _is_acyclic(links):
+    """Whether a graph has no cycle: Kahn's topological sort.
 
     Parameters
     ----------
-    octant : int
-        Bit k: whether rays go up axis k.
-    rows : ndarray of shape (R, 4), uint32
-        Otherwise valid.
-    sector_count : int
-    degrees : ndarray of shape (V,), uint32
-        Links of link nodes to each sector and node. Changed.
-    ready : ndarray of shape (V,), uint32
-        Written: a stack.
+    links : ndarray of shape (V, 3), int32
+        The vertices that each vertex links to; -1 for none.
 
     References
     ----------
     Kahn, "Topological sorting of large networks", Communications of the ACM 5(11), 1962.
     """
-    for sector in range(sector_count):
-        for axis in range(3):
-            face = 2 * axis + ((octant >> axis) & 1)
-            link = np.int64(rows[sector * _ROWS + 2 + face // 4, face % 4])
-            if link != _NOWHERE:
-                degrees[_vertex(link, sector_count)] += np.uint32(1)
-    top, done = 0, 0
-    for vertex in range(len(degrees)):
+    degrees = np.zeros(len(links), np.int32)  # links to each vertex
+    for vertex in range(len(links)):
+        for k in range(3):
+            if links[vertex, k] >= 0:
+                degrees[links[vertex, k]] += 1
+    ready = np.empty(len(links), np.int32)
+    end, done = 0, 0
+    for vertex in range(len(links)):
         if degrees[vertex] == 0:
-            ready[top] = vertex
-            top += 1
-    while top > 0:
-        top -= 1
+            ready[end] = vertex
+            end += 1
+    while done < end:
+        for k in range(3):
+            target = links[ready[done], k]
+            if target >= 0:
+                degrees[target] -= 1
+                if degrees[target] == 0:
+                    ready[end] = target
+                    end += 1
         done += 1
-        vertex = np.int64(ready[top])
-        is_sector = vertex < sector_count
-        for k in range(3 if is_sector else 2):
-            if is_sector:
-                face = 2 * k + ((octant >> k) & 1)
-                link = np.int64(rows[vertex * _ROWS + 2 + face // 4, face % 4])
-                if link == _NOWHERE:
-                    continue
-            else:
-                link = np.int64(rows[vertex + sector_count * (_ROWS - 1), 2 + k])
-            target = _vertex(link, sector_count)
-            degrees[target] -= np.uint32(1)
-            if degrees[target] == 0:
-                ready[top] = target
-                top += 1
-    return done == len(degrees)
+    return done == len(links)
 
 
 def check_graph(
     arrays: Mapping[str, Any],
     bounds: NDArray[np.float32],
-    solid_ids: NDArray[np.int32],
-    triangle_count: int,
+    solid: NDArray[np.bool_],
 ) -> GraphArrays:
     """Check a graph from a file: that no walk reads out of bounds or never ends.
 
@@ -233,10 +118,8 @@ def check_graph(
         See `GraphArrays`; ``sector_count`` is an array of shape ().
     bounds : ndarray of shape (2, 3), float32
         The scene's box, which the sectors must contain.
-    solid_ids : ndarray of shape (A,), int32
-        The triangles that sectors must list, and no others.
-    triangle_count : int
-        Of the scene.
+    solid : ndarray of shape (F,), bool
+        Whether sectors must list a triangle of the scene.
 
     Returns
     -------
@@ -252,29 +135,26 @@ def check_graph(
     The graph may still be wrong: sectors may lack triangles.
     """
     graph = _take(arrays)
-    rows, sector_count, prim_ids, _ = graph
-    solid = np.zeros(triangle_count, np.bool_)
-    solid[solid_ids] = True
-    if sector_count == 0:
-        if len(rows) or len(prim_ids) or graph.bins.size or len(solid_ids):
+    rows, count, prim_ids, bins = graph
+    if count == 0:
+        if len(rows) or len(prim_ids) or bins.size or solid.any():
             raise ValueError("a graph without sectors cannot hold anything")
         return graph
-    wanted = solid.copy()
-    numbers = rows.view(np.float32)
-
-    def check_some(begin: int, end: int) -> None:
-        _raise_fault(_check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted))
-
-    parallel_for(check_some, sector_count, _CHUNK)
-    # In all blocks, also those of no sector: corners are looked up for each.
-    if len(prim_ids) and not (prim_ids.min() >= -1 and prim_ids.max() < triangle_count):
-        raise ValueError(_FAULTS[_BAD_ID])
-    if wanted.any():
-        raise ValueError("a triangle of the scene is in no sector")
-    _check_box(numbers[: SECTOR_ROWS * sector_count], bounds)
-    if graph.bins.size == 0 or not _are_sectors(graph.bins, sector_count):
+    sectors = rows[: SECTOR_ROWS * count].reshape(count, SECTOR_ROWS * NODE_WORDS)
+    boxes = sectors[:, [0, 1, 2, 4, 5, 6]].view(np.float32)
+    if not (np.isfinite(boxes).all() and (boxes[:, :3] < boxes[:, 3:]).all()):
+        raise ValueError("a sector has an invalid bounding box")
+    check_blocks(prim_ids, sectors[:, 3], sectors[:, 7], solid, "sector")
+    box = np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+    if (box[:3] > bounds[0]).any() or (box[3:] < bounds[1]).any():
+        raise ValueError("the sectors do not contain the scene")
+    volumes = (boxes[:, 3:].astype(np.float64) - boxes[:, :3]).prod(axis=1)
+    volume = (box[3:].astype(np.float64) - box[:3]).prod()
+    if not abs(volumes.sum() - volume) <= _VOLUME_ERROR * volume:
+        raise ValueError("the sectors do not tile their bounding box")
+    if bins.size == 0 or bins.max() >= SECTOR_ROWS * count or (bins % SECTOR_ROWS).any():
         raise ValueError("a bin has no sector")
-    _check_all_links(rows, numbers, sector_count)
+    _check_links(rows[SECTOR_ROWS * count :], sectors[:, 8:14], boxes, box)
     return graph
 
 
@@ -289,59 +169,62 @@ def _take(arrays: Mapping[str, Any]) -> GraphArrays:
     return GraphArrays(rows, count, prim_ids, bins)
 
 
-def _raise_fault(code: int) -> None:
-    if code != _FINE:
-        raise ValueError(_FAULTS[code])
+def _targets(links: NDArray[np.uint32], sector_count: int, node_count: int) -> NDArray[np.int32]:
+    """The vertices that links lead to: sectors first, then link nodes; -1 for nowhere."""
+    first_node = SECTOR_ROWS * sector_count
+    row, is_node = (links & ~np.uint32(NODE_BIT)).view(np.int32), links >= NODE_BIT
+    is_sector = ~is_node & (row < first_node) & (row % SECTOR_ROWS == 0)
+    is_valid = is_sector | is_node & (row >= first_node) & (row - first_node < node_count)
+    if not (is_valid | (links == VOID)).all():
+        raise ValueError("a link is out of range")
+    targets = np.where(is_node, row - first_node + sector_count, row // SECTOR_ROWS)
+    return np.where(links == VOID, -1, targets).astype(np.int32)
 
 
-def _are_sectors(links: NDArray[np.uint32], sector_count: int) -> bool:
-    is_in = links.max() < SECTOR_ROWS * sector_count
-    return bool(is_in and not (links % SECTOR_ROWS).any())
-
-
-def _check_box(numbers: NDArray[np.float32], bounds: NDArray[np.float32]) -> None:
-    """Check that the sectors, with valid boxes, tile one that contains the scene's."""
-    low, high = _box_of(numbers)
-    if not (low <= bounds[0]).all() or not (high >= bounds[1]).all():
-        raise ValueError("the sectors do not contain the scene")
-    size = numbers[1::SECTOR_ROWS, :3].astype(np.float64) - numbers[::SECTOR_ROWS, :3]
-    volume = (high.astype(np.float64) - low).prod()
-    if not abs(size.prod(axis=1).sum() - volume) <= _VOLUME_ERROR * volume:
-        raise ValueError("the sectors do not tile their bounding box")
-
-
-def _box_of(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The bounding box of sectors, shape (2, 3)."""
-    return np.stack(
-        [
-            numbers[::SECTOR_ROWS, :3].min(axis=0),
-            numbers[1::SECTOR_ROWS, :3].max(axis=0),
-        ]
-    )
-
-
-def _check_all_links(
-    rows: NDArray[np.uint32], numbers: NDArray[np.float32], sector_count: int
+def _check_links(
+    nodes: NDArray[np.uint32],
+    links: NDArray[np.uint32],
+    boxes: NDArray[np.float32],
+    box: NDArray[np.float32],
 ) -> None:
-    node_count = len(rows) - SECTOR_ROWS * sector_count
-    sides = np.empty((node_count, 6), np.float32)
-    hulls = np.empty((node_count, 6), np.float32)
-    _raise_fault(_check_nodes(rows, numbers, sector_count, sides, hulls))
-    box = _box_of(numbers[: SECTOR_ROWS * sector_count])
+    """Check the links of nodes and sectors.
 
-    def check_some(begin: int, end: int) -> None:
-        _raise_fault(_check_links(begin, end, rows, numbers, sector_count, sides, box))
-
-    parallel_for(check_some, sector_count, _CHUNK)
-    degrees = np.zeros(sector_count + node_count, np.uint32)
-    _count_node_links(rows, sector_count, degrees)
+    Parameters
+    ----------
+    nodes : ndarray of shape (N, 4), uint32
+        See `GraphArrays.rows`.
+    links : ndarray of shape (S, 6), uint32
+        Of the sectors' faces.
+    boxes : ndarray of shape (S, 6), float32
+        Low x, y, z, high x, y, z of the sectors.
+    box : ndarray of shape (6,), float32
+        The same of all.
+    """
+    node_count, count = len(nodes), len(boxes)
+    inner = _targets(nodes[:, 2:], count, node_count)
+    later = np.arange(count, count + node_count)[:, None]
+    if (nodes[:, 1] > 2).any() or (inner < 0).any() or (inner >= later).any():
+        raise ValueError("a link node links to one that comes later, or to nowhere")
+    sides = np.concatenate([boxes, np.empty((node_count, 6), np.float32)])
+    hulls = sides.copy()
+    planes = np.ascontiguousarray(nodes[:, 0]).view(np.float32)
+    if not _fill_extents(nodes[:, 1].astype(np.int64), planes, inner, sides, hulls):
+        raise ValueError("a link node's plane is not between what it links to")
+    outer = _targets(links, count, node_count)
+    for face in range(6):
+        axis, is_high = face >> 1, face & 1
+        own, other = axis + 3 * is_high, axis + 3 * (1 - is_high)
+        touching = np.where(outer[:, face] < 0, box[own], sides[outer[:, face], other])
+        if (touching != boxes[:, own]).any():
+            raise ValueError("a face links to sectors that do not touch it")
 
     def check_octants(begin: int, end: int) -> None:
         for octant in range(begin, end):
-            ready = np.empty(len(degrees), np.uint32)
-            if not _is_ordered(octant, rows, sector_count, degrees.copy(), ready):
+            faces = [2 * axis + (octant >> axis & 1) for axis in range(3)]
+            ahead = np.full((count + node_count, 3), -1, np.int32)
+            ahead[:count], ahead[count:, :2] = outer[:, faces], inner
+            if not _is_acyclic(ahead):
                 raise ValueError("the links form a cycle")
 
-    nothing = np.zeros(0, np.uint32)
-    _is_ordered(0, rows[:0], 0, nothing, nothing)  # compiled before threads start
+    _is_acyclic(np.zeros((0, 3), np.int32))  # compiled before threads start
     parallel_for(check_octants, 8, 1)

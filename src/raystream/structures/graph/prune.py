@@ -15,22 +15,21 @@ from numpy.typing import NDArray
 from raystream.jit.constants import ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, scratch, store
-from raystream.structures.clip import BOX_BYTES, HIGH, WORD
+from raystream.structures.boxes import face_area, half_area
+from raystream.structures.clip import BOX_BYTES, WORD
 from raystream.structures.graph.cells import NODE_BYTES, split_of
 from raystream.structures.kdtree.layout import LEAF_AXIS, KdArrays
 from raystream.structures.kdtree.split import Costs
+from raystream.structures.kdtree.subtree import put_leaf
 
 #: Subtrees of more leaves, or of more triangles, are kept.
 _MOST_LEAVES, _MOST_TRIANGLES = 16, 64
 PENDING_BYTES, UNION_BYTES = 8 * (_MOST_LEAVES + 2), 4 * _MOST_TRIANGLES
 
-_LANES = np.uint64(4)
 _ENTRY = np.uint64(8)
 _BLOCK_IDS = np.uint64(16)
 _LEAF = np.uint64(LEAF_AXIS)
-_LEAF_BITS = np.int32(LEAF_AXIS)
 _LEAF_LIMIT = np.uint64(_MOST_LEAVES)
-_ABSENT = np.int32(-1)
 
 
 class Chosen(NamedTuple):
@@ -52,20 +51,6 @@ class Chosen(NamedTuple):
     lists: np.uint64
     sizes: np.uint64
     costs: np.uint64
-
-
-@device
-def _side(box, axis):
-    at = box + axis * WORD
-    return np.float64(load(np.float32, at + HIGH)) - load(np.float32, at)
-
-
-@device
-def _areas(box, axis):
-    """Half of a box's surface area, and its cross-section along an axis, which may be 3."""
-    x, y, z = _side(box, ZERO_U64), _side(box, ONE_U64), _side(box, TWO_U64)
-    across = y * z if axis == ZERO_U64 else (z * x if axis == ONE_U64 else x * y)
-    return x * y + y * z + z * x, across
 
 
 @device
@@ -98,13 +83,6 @@ def _unite(node, nodes, leaf_counts, lists, sizes, pending, union, most):
 
 
 @device
-def leaf_cost(box, count, costs):
-    """Cost of a leaf of `count` triangles."""
-    half, _ = _areas(box, _LEAF)
-    return costs.intersection * np.float64(count) * half
-
-
-@device
 def weigh_split(node, nodes, boxes, costs, chosen, free, pending, union):
     """Turn a split into a leaf if that costs no more; its children have been weighed.
 
@@ -132,9 +110,10 @@ def weigh_split(node, nodes, boxes, costs, chosen, free, pending, union):
     have more triangles than a new list may have.
     """
     axis, first, _ = split_of(nodes, node)
-    half, across = _areas(boxes + node * BOX_BYTES, axis)
+    box = boxes + node * BOX_BYTES
+    half = half_area(box)
     cost = _cost(chosen, first) + _cost(chosen, first + ONE_U64) + costs.traversal * half
-    cost += costs.crossing * across
+    cost += costs.crossing * face_area(box, axis)
     count = np.uint64(load(np.uint32, chosen.leaf_counts + first * WORD))
     count += np.uint64(load(np.uint32, chosen.leaf_counts + (first + ONE_U64) * WORD))
     at = load(np.uint64, chosen.lists + first * _ENTRY)
@@ -152,17 +131,18 @@ def weigh_split(node, nodes, boxes, costs, chosen, free, pending, union):
         return size
     for k in range(size):
         store(at + k * WORD, load(np.int32, union + k * WORD))
-    put_leaf(node, boxes, costs, chosen, at, size)
+    choose_leaf(node, boxes, costs, chosen, at, size)
     return size
 
 
 @device
-def put_leaf(node, boxes, costs, chosen, at, size):
+def choose_leaf(node, boxes, costs, chosen, at, size):
     """Make a node a leaf, with the list at an address."""
+    cost = costs.intersection * np.float64(size) * half_area(boxes + node * BOX_BYTES)
     store(chosen.lists + node * _ENTRY, at)
     store(chosen.sizes + node * WORD, np.uint32(size))
     store(chosen.leaf_counts + node * WORD, np.uint32(1))
-    store(chosen.costs + node * _ENTRY, leaf_cost(boxes + node * BOX_BYTES, size, costs))
+    store(chosen.costs + node * _ENTRY, cost)
 
 
 @device
@@ -198,7 +178,7 @@ def _choose_leaves(nodes, prim_ids, boxes, costs, leaf_counts, lists, sizes, nod
         axis, count, _ = split_of(node_at, node)
         if axis == _LEAF:
             block = np.uint64(load(np.uint32, node_at + node * NODE_BYTES))
-            put_leaf(node, box_at, costs, chosen, id_at + block * _BLOCK_IDS, count)
+            choose_leaf(node, box_at, costs, chosen, id_at + block * _BLOCK_IDS, count)
         else:
             size = weigh_split(node, node_at, box_at, costs, chosen, free, pending, union)
             free = free - size if size <= free else ZERO_U64
@@ -223,15 +203,7 @@ def _rebuild(nodes, leaf_counts, lists, sizes, rows, new_nodes, new_ids):
             end += TWO_U64
             continue
         size = np.uint64(sizes[node])
-        store(to, np.int32(block))
-        store(to + WORD, np.int32(np.int32(size) << np.int32(2) | _LEAF_BITS))
-        last = block + (size + _LANES - ONE_U64) // _LANES
-        for k in range((last - block) * _LANES):
-            prim_id = _ABSENT
-            if k < size:
-                prim_id = load(np.int32, np.uint64(lists[node]) + k * WORD)
-            store(id_at + block * _BLOCK_IDS + k * WORD, prim_id)
-        block = last
+        block = put_leaf(to, np.uint64(lists[node]), ZERO_U64, size, id_at, block)
     return end, block
 
 

@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.constants import BYTES_32, ONE_U64, THREE_U64, ZERO_U64
-from raystream.jit.cpu import device, kernel
+from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, load, store
 from raystream.jit.threads import parallel_for
-from raystream.structures.graph.build import GraphSettings
+from raystream.structures.boxes import copy_box, face_area, half_area
+from raystream.structures.clip import HIGH
 from raystream.structures.graph.layout import NODE_BIT, SECTOR_ROWS, VOID, GraphArrays
+from raystream.structures.graph.options import Graph
 
 _CHUNK = 1 << 12
 
@@ -18,7 +20,6 @@ _CHUNK = 1 << 12
 _PENDING = np.uint64(32)
 
 _BOX_AT = np.uint64(8)
-_HIGH = np.uint64(12)
 _ROW = np.uint64(16)
 _BIT = np.uint64(NODE_BIT)
 _NOWHERE = np.uint64(VOID)
@@ -39,32 +40,6 @@ def _measure_trees(rows, sector_count, depths, sizes):
                 depth = max(depth, depths[inner])
                 size += sizes[inner]
         depths[node], sizes[node] = depth + 1, size + 1.0
-
-
-@device
-def _size_along(box, axis):
-    at = box + axis * BYTES_32
-    return np.float64(load(np.float32, at + _HIGH)) - load(np.float32, at)
-
-
-@device
-def _half_area(box):
-    x, y = _size_along(box, ZERO_U64), _size_along(box, ONE_U64)
-    z = _size_along(box, np.uint64(2))
-    return x * y + y * z + z * x
-
-
-@device
-def _face_area(box, axis):
-    other = axis + ONE_U64 if axis < np.uint64(2) else ZERO_U64
-    third = THREE_U64 - axis - other
-    return _size_along(box, other) * _size_along(box, third)
-
-
-@device
-def _copy_box(to, source):
-    for k in range(np.uint64(6)):
-        store(to + k * BYTES_32, load(np.float32, source + k * BYTES_32))
 
 
 @kernel
@@ -88,8 +63,8 @@ def _add_up(begin, end, rows, stack, sums):
         # The sector's box without the interleaved words, below the stack.
         for k in range(THREE_U64):
             store(box + k * BYTES_32, load(np.float32, at + k * BYTES_32))
-            store(box + _HIGH + k * BYTES_32, load(np.float32, at + _ROW + k * BYTES_32))
-        half = _half_area(box)
+            store(box + HIGH + k * BYTES_32, load(np.float32, at + _ROW + k * BYTES_32))
+        half = half_area(box)
         sums[0] += half
         sums[1] += half * np.float64(load(np.uint32, at + np.uint64(28)))
         for face in range(np.uint64(6)):
@@ -97,23 +72,23 @@ def _add_up(begin, end, rows, stack, sums):
             if link == _NOWHERE:
                 continue
             axis = face >> ONE_U64
-            sums[2] += _face_area(box, axis)
+            sums[2] += face_area(box, axis)
             top = stack_at + _PENDING
             store(top, link)
-            _copy_box(top + _BOX_AT, box)
+            copy_box(top + _BOX_AT, box)
             top += _PENDING
             while top != stack_at + _PENDING:
                 top -= _PENDING
                 link = load(np.uint64, top)
                 if link & _BIT == ZERO_U64:
                     continue
-                sums[3] += _face_area(top + _BOX_AT, axis)
+                sums[3] += face_area(top + _BOX_AT, axis)
                 node = row_at + (link ^ _BIT) * _ROW
                 side = np.uint64(load(np.uint32, node + BYTES_32)) * BYTES_32
                 above = top + _PENDING
-                _copy_box(above + _BOX_AT, top + _BOX_AT)
+                copy_box(above + _BOX_AT, top + _BOX_AT)
                 store(above + _BOX_AT + side, load(np.float32, node))
-                store(top + _BOX_AT + _HIGH + side, load(np.float32, node))
+                store(top + _BOX_AT + HIGH + side, load(np.float32, node))
                 store(top, np.uint64(load(np.uint32, node + np.uint64(8))))
                 store(above, np.uint64(load(np.uint32, node + np.uint64(12))))
                 top = above + _PENDING
@@ -131,14 +106,14 @@ def _sum_areas(graph: GraphArrays, depth: int) -> NDArray[np.float64]:
     return parts.sum(axis=0)
 
 
-def statistics(graph: GraphArrays, settings: GraphSettings) -> dict[str, float]:
+def statistics(graph: GraphArrays, options: Graph) -> dict[str, float]:
     """Measure a graph.
 
     Parameters
     ----------
     graph : GraphArrays
-    settings : GraphSettings
-        Costs of steps.
+    options : Graph
+        With the costs of steps.
 
     Returns
     -------
@@ -170,7 +145,7 @@ def statistics(graph: GraphArrays, settings: GraphSettings) -> dict[str, float]:
         "link nodes per ray": passed / (2.0 * whole),
         "tests per ray": tests / whole,
     }
-    costs = settings.crossing_cost, settings.link_cost, settings.intersection_cost
+    costs = options.crossing_cost, options.link_cost, options.intersection_cost
     return {
         "sectors": float(count),
         "empty sectors": float(np.count_nonzero(sizes == 0)),

@@ -1,9 +1,8 @@
 """The steps of a ray's walk through a graph of sectors.
 
-A ray intersects a plane at one distance, ``fma(plane, inv, middle)``, as in the kd-tree,
-and for the same reason. It depends on the plane alone and is monotone in its position, so a
-distance t is either before a plane or not, from whichever sector. A ray is in a sector for
-t_in <= t < t_out, from the last of the planes through which it enters to the first of those
+A ray intersects a plane at one distance (`plane_distances`), as in the kd-tree, and for the same
+reason: a distance t is either before a plane or not, from whichever sector. A ray is in a sector
+for t_in <= t < t_out, from the last of the planes through which it enters to the first of those
 through which it leaves; the sides of the scene's box do not count. So each t belongs to exactly
 one sector, and a hit counts in the sector that its t belongs to, and nowhere else.
 
@@ -28,12 +27,15 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load, next_float_up, store
 from raystream.kernels.leaf_block import BLOCK, blocks_end
 from raystream.kernels.ray import component
-from raystream.kernels.slab import box_interval
+from raystream.structures.plane_distances import (
+    SplitRay,
+    plane_distance,
+    scene_interval,
+    split_ray,
+)
 
 #: Most sectors that a walk from a nearby sector leaves before it falls back to the bins.
 MAX_WALK = 16
-
-_HALF = np.float32(0.5)
 
 # Byte offsets of the words of a sector.
 _FIRST_BLOCK = np.uint64(12)
@@ -100,26 +102,17 @@ class SectorRay(NamedTuple):
 
     Attributes
     ----------
-    inv_x, inv_y, inv_z, middle_x, middle_y, middle_z : float32
-        Constants of its distances to planes.
-    out_x, out_y, out_z : uint64
+    planes : SplitRay
+        For its distances to planes.
+    out : tuple of three uint64
         Byte offsets in a sector of the planes through which the ray leaves.
-    link_x, link_y, link_z : uint64
+    links : tuple of three uint64
         Byte offsets of their links.
     """
 
-    inv_x: np.float32
-    inv_y: np.float32
-    inv_z: np.float32
-    middle_x: np.float32
-    middle_y: np.float32
-    middle_z: np.float32
-    out_x: np.uint64
-    out_y: np.uint64
-    out_z: np.uint64
-    link_x: np.uint64
-    link_y: np.uint64
-    link_z: np.uint64
+    planes: SplitRay
+    out: tuple[np.uint64, np.uint64, np.uint64]
+    links: tuple[np.uint64, np.uint64, np.uint64]
 
 
 class Face(NamedTuple):
@@ -131,34 +124,36 @@ class Face(NamedTuple):
 
 @device
 def sector_ray(ray):
-    """A `kernels.ray.Ray` as a `SectorRay`.
-
-    ``middle`` is the mean of the slab constants of both paddings: that of an unpadded plane, to
-    within two roundings.
-    """
+    """A `kernels.ray.Ray` as a `SectorRay`."""
     high_x = _HIGH if ray.inv_x > ZERO_F32 else ZERO_U64
     high_y = _HIGH if ray.inv_y > ZERO_F32 else ZERO_U64
     high_z = _HIGH if ray.inv_z > ZERO_F32 else ZERO_U64
-    return SectorRay(
-        ray.inv_x,
-        ray.inv_y,
-        ray.inv_z,
-        (ray.near_x + ray.far_x) * _HALF,
-        (ray.near_y + ray.far_y) * _HALF,
-        (ray.near_z + ray.far_z) * _HALF,
-        high_x,
-        high_y + BYTES_32,
-        high_z + _TWO_WORDS,
-        # Links are in pairs: low side, high side.
+    # Links are in pairs: low side, high side.
+    links = (
         _LINKS + (high_x >> np.uint64(2)),
         _LINKS + _TWO_WORDS + (high_y >> np.uint64(2)),
         _LINKS + _TWO_WORDS + _TWO_WORDS + (high_z >> np.uint64(2)),
     )
+    return SectorRay(split_ray(ray), (high_x, high_y + BYTES_32, high_z + _TWO_WORDS), links)
 
 
 @device
 def _link(sector, at):
     return np.uint64(load(np.uint32, sector + at))
+
+
+@device
+def _distances(line, sector, side):
+    """Distances of the planes through which a ray leaves a sector; with `_HIGH`, enters it.
+
+    They are infinite at the side of the scene.
+    """
+    planes, (x, y, z) = line.planes, line.out
+    return (
+        fma(load(np.float32, sector + (x ^ side)), planes.inv_x, planes.middle_x),
+        fma(load(np.float32, sector + (y ^ side)), planes.inv_y, planes.middle_y),
+        fma(load(np.float32, sector + (z ^ side)), planes.inv_z, planes.middle_z),
+    )
 
 
 @device
@@ -175,33 +170,25 @@ def exit_face(line, sector):
     -------
     Face
     """
-    t, link = _plane(sector, line.out_x, line.inv_x, line.middle_x), line.link_x
-    t_y = _plane(sector, line.out_y, line.inv_y, line.middle_y)
+    t, t_y, t_z = _distances(line, sector, ZERO_U64)
+    link = line.links[0]
     if t_y < t:
-        t, link = t_y, line.link_y
-    t_z = _plane(sector, line.out_z, line.inv_z, line.middle_z)
+        t, link = t_y, line.links[1]
     if t_z < t:
-        t, link = t_z, line.link_z
+        t, link = t_z, line.links[2]
     return Face(t, _link(sector, link))
 
 
 @device
 def _entry_face(line, sector):
     """The face through which a ray enters a sector; its distance is -inf in the first one."""
-    t, link = _plane(sector, line.out_x ^ _HIGH, line.inv_x, line.middle_x), line.link_x
-    t_y = _plane(sector, line.out_y ^ _HIGH, line.inv_y, line.middle_y)
+    t, t_y, t_z = _distances(line, sector, _HIGH)
+    link = line.links[0]
     if t_y > t:
-        t, link = t_y, line.link_y
-    t_z = _plane(sector, line.out_z ^ _HIGH, line.inv_z, line.middle_z)
+        t, link = t_y, line.links[1]
     if t_z > t:
-        t, link = t_z, line.link_z
+        t, link = t_z, line.links[2]
     return Face(t, _link(sector, link ^ BYTES_32))
-
-
-@device
-def _plane(sector, at, inv, middle):
-    """Distance of a plane of a sector; infinite at the side of the scene."""
-    return fma(load(np.float32, sector + at), inv, middle)
 
 
 @device
@@ -227,10 +214,8 @@ def follow_link(graph, line, link, t):
     while link & _NODE_BIT != ZERO_U64:
         node = graph.rows + ((link ^ _NODE_BIT) << _ROW)
         axis = np.uint64(load(np.uint32, node + _AXIS))
-        inv = component(axis, line.inv_x, line.inv_y, line.inv_z)
-        middle = component(axis, line.middle_x, line.middle_y, line.middle_z)
-        is_behind = fma(load(np.float32, node), inv, middle) <= t
-        link = _link(node, _ABOVE if is_behind == (inv > ZERO_F32) else _BELOW)
+        t_plane, is_upward = plane_distance(line.planes, axis, load(np.float32, node))
+        link = _link(node, _ABOVE if (t_plane <= t) == is_upward else _BELOW)
         node_count += ONE_U64
     return graph.rows + (link << _ROW), node_count
 
@@ -248,10 +233,7 @@ def clip_to_scene(graph, ray, t_min, t_max):
     t_end : float32
         The next float32 after its end.
     """
-    low, high = graph.low, graph.high
-    t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
-    # A hit lies in its triangle's slab interval, so in that of the scene's box.
-    t_in, t_out = max(t_in, t_min), min(t_out, t_max)
+    t_in, t_out = scene_interval(graph, ray, t_min, t_max)
     return graph.rows != NULL and t_in <= t_out, t_in, next_float_up(t_out)
 
 

@@ -20,7 +20,7 @@ from raystream.kernels.hits import Sink
 from raystream.kernels.leaf_block import filled_blocks
 from raystream.kernels.local_frame import LocalRays
 from raystream.structures.base import BuildReport, Structure
-from raystream.structures.graph.build import GraphSettings, build_graph, graph_box
+from raystream.structures.graph.build import build_graph, graph_box
 from raystream.structures.graph.check import check_graph
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID, GraphArrays
 from raystream.structures.graph.locate import StartSectors, find_sectors
@@ -29,7 +29,7 @@ from raystream.structures.graph.statistics import statistics
 from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.text_format import dump_graph
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
-from raystream.structures.kdtree.layout import default_depth
+from raystream.structures.saved import solid_mask
 
 
 class GraphStructure(Structure):
@@ -51,8 +51,7 @@ class GraphStructure(Structure):
         self, triangles: Triangles, options: Graph, *, progress: Progress | None = None
     ) -> None:
         started = time.perf_counter()
-        settings = settings_of(options, len(triangles.prim_ids))
-        self._set(triangles, build_graph(triangles, settings, progress), options, started)
+        self._set(triangles, build_graph(triangles, options, progress), options, started)
 
     def _set(
         self, triangles: Triangles, graph: GraphArrays, options: Graph, started: float
@@ -111,14 +110,14 @@ class GraphStructure(Structure):
         Parameters
         ----------
         path : str or path
-            Replaced atomically. `text_format.load_graph` reads it.
+            Replaced atomically. The format is described in `text_format`.
         """
         with atomic_write(path) as file, file.open("w", encoding="ascii", newline="\n") as text:
             dump_graph(text, self.graph, self.triangles.corners)
 
     def quality(self) -> dict[str, float]:
         """Counts, depth, bytes and cost; see `statistics`."""
-        return statistics(self.graph, settings_of(self.options, len(self.triangles.prim_ids)))
+        return statistics(self.graph, self.options)
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """The graph."""
@@ -130,7 +129,7 @@ class GraphStructure(Structure):
     ) -> GraphStructure:
         """Make a graph from saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
-        graph = check_graph(arrays, triangles.bounds, triangles.prim_ids, len(triangles))
+        graph = check_graph(arrays, triangles.bounds, solid_mask(triangles))
         structure = cls.__new__(cls)
         structure._set(triangles, graph, options, started)
         return structure
@@ -165,18 +164,3 @@ def _open_sides(rows: NDArray[np.uint32]) -> None:
 def _triple(numbers: Any) -> tuple[np.float32, np.float32, np.float32]:
     x, y, z = numbers
     return np.float32(x), np.float32(y), np.float32(z)
-
-
-def settings_of(options: Graph, triangle_count: int) -> GraphSettings:
-    """The build settings of some options."""
-    max_depth = options.max_depth
-    if max_depth is None:
-        max_depth = default_depth(triangle_count)
-    return GraphSettings(
-        crossing_cost=options.crossing_cost,
-        intersection_cost=options.intersection_cost,
-        link_cost=options.link_cost,
-        empty_bonus=0.0,
-        max_depth=max_depth,
-        max_leaf_size=options.max_leaf_size,
-    )

@@ -7,9 +7,9 @@ import numpy as np
 from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import prefetch, store
-from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
+from raystream.kernels.leaf_block import block_ray, search_blocks
 from raystream.kernels.search import is_full, is_over
-from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, TESTS, add_to
+from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, add_to
 from raystream.structures.graph.steps import (
     clip_to_scene,
     exit_face,
@@ -23,7 +23,6 @@ from raystream.structures.graph.steps import (
 #: A graph needs no stack: its memory caches the start of the previous ray.
 STACK_BYTES = 16
 
-_LANES = np.uint64(4)
 _LINE = np.uint64(64)
 _INDEX = np.uint64(2)  # a number's four bytes, as a shift
 
@@ -48,7 +47,7 @@ def traverse(graph, ray, search, stack):
         face = exit_face(line, sector)
         t_out = min(face.t, t_end)
         is_last = t_out >= t_end
-        block, end, left = sector_blocks(graph, sector)
+        block, end, _ = sector_blocks(graph, sector)
         # Prefetch the blocks and the next sector before testing triangles.
         next_sector, node_count = sector, ZERO_U64
         if block != end:
@@ -60,13 +59,9 @@ def traverse(graph, ray, search, stack):
             prefetch(next_sector)
         if block != end:
             add_to(search.counters, LEAVES, ONE_U64)
-            while block != end:
-                add_to(search.counters, TESTS, min(left, _LANES))
-                search = intersect_block(block, triangle_ray, search, t_in, t_out)
-                if is_full(search):
-                    return search
-                block += BLOCK
-                left -= min(left, _LANES)
+            search = search_blocks(block, end, triangle_ray, search, t_in, t_out)
+            if is_full(search):
+                return search
         if is_last or is_over(search, t_out):
             _note_end(graph, search, sector)
             return search

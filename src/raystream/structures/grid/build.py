@@ -16,6 +16,7 @@ from raystream.jit.simd import address
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.structures.grid.lattice import Lattice, choose_lattice
 from raystream.structures.grid.layout import MAX_REFERENCES, GridArrays
+from raystream.structures.grid.options import Grid
 from raystream.structures.grid.overlap import ListWriter, list_in_layers, range_along
 
 #: Triangles per call of the first kernel.
@@ -34,25 +35,14 @@ class TooManyError(Exception):
 
 
 def build_grid(
-    triangles: Triangles,
-    resolution: tuple[int, int, int] | None,
-    min_resolution: int | None,
-    levels: int = 1,
-    is_exact: bool = False,
-    progress: Progress | None = None,
+    triangles: Triangles, options: Grid, progress: Progress | None = None
 ) -> tuple[Lattice, GridArrays]:
     """Choose a lattice and list the triangles of each cell.
 
     Parameters
     ----------
     triangles : Triangles
-    resolution : tuple of three int, optional
-    min_resolution : int, optional
-    levels : int
-        See `lattice.choose_lattice`. Without a resolution, cells are made coarser until lists are
-        short.
-    is_exact : bool
-        See `Lattice`.
+    options : Grid
     progress : callable, optional
         Called with (triangles placed, triangles).
 
@@ -75,16 +65,11 @@ def build_grid(
     def make(lattice: Lattice, limit: int, option: str) -> GridArrays:
         return build_lists(triangles, lattice, limit, option, progress)
 
-    return choose_and_build(triangles, resolution, min_resolution, levels, is_exact, make)
+    return choose_and_build(triangles, options, make)
 
 
 def choose_and_build(
-    triangles: Triangles,
-    resolution: tuple[int, int, int] | None,
-    min_resolution: int | None,
-    levels: int,
-    is_exact: bool,
-    make: Callable[[Lattice, int, str], Lists],
+    triangles: Triangles, options: Grid, make: Callable[[Lattice, int, str], Lists]
 ) -> tuple[Lattice, Lists]:
     """Choose a lattice, coarser if there are too many references, and make its lists.
 
@@ -92,8 +77,8 @@ def choose_and_build(
     ----------
     triangles : Triangles
         At least one that can be hit.
-    resolution, min_resolution, levels, is_exact
-        See `build_grid`.
+    options : Grid
+        Without a resolution, cells are made coarser until lists are short.
     make : callable
         ``make(lattice, limit, option)`` makes lists; it raises `TooManyError` if there are more
         than `limit` references.
@@ -104,12 +89,11 @@ def choose_and_build(
         If there are more references than a grid can have.
     """
     count = len(triangles.prim_ids)
-    is_free = resolution is None and min_resolution is None
-    option = "resolution" if min_resolution is None else "min_resolution"
+    is_free = options.resolution is None and options.min_resolution is None
+    option = "resolution" if options.min_resolution is None else "min_resolution"
     coarser = 0
     while True:
-        lattice = choose_lattice(triangles, resolution, min_resolution, levels, coarser)
-        lattice = lattice._replace(is_exact=is_exact)
+        lattice = choose_lattice(triangles, options, coarser)
         # One cell needs one reference per triangle, so coarsening ends.
         limit = reference_limit(count) if is_free else MAX_REFERENCES
         try:
@@ -184,20 +168,39 @@ def build_lists(
     -------
     GridArrays
     """
-    cell_count = lattice.cell_count
-    remedy = "choose a coarser one"
-    check_memory(cell_count * 8, f"{option}: {cell_count:,} cells would", remedy)
     corners, prim_ids = triangles.corners, triangles.prim_ids
     layers = find_layers(corners, prim_ids, lattice)
+    halves = iter(_halves(progress, lattice.counts[layers.axis], len(prim_ids)))
+
+    def list_all(output: ListOutput) -> int:
+        return list_triangles(corners, prim_ids, lattice, layers, output, next(halves))
+
+    return count_and_fill(lattice.cell_count, limit, list_all, option, "choose a coarser one")
+
+
+def count_and_fill(
+    cell_count: int, limit: int, list_all: Callable[[ListOutput], int], option: str, remedy: str
+) -> GridArrays:
+    """Make the lists of cells: count their triangles, then write them.
+
+    Parameters
+    ----------
+    cell_count : int
+    limit : int
+        Most references.
+    list_all : callable
+        Counts the triangles of all cells, or writes them; returns their number.
+    option, remedy : str
+        The option to blame if memory is short, and what to do then.
+    """
+    check_memory(cell_count * 8, f"{option}: {cell_count:,} cells would", remedy)
     splits = np.zeros(cell_count + 1, np.uint32)
-    first_half, second_half = _halves(progress, lattice.counts[layers.axis], len(prim_ids))
-    counts = ListOutput(splits[1:], np.empty(0, np.int32), limit)
-    total = list_triangles(corners, prim_ids, lattice, layers, counts, first_half)
+    total = list_all(ListOutput(splits[1:], np.empty(0, np.int32), limit))
     check_memory(total * 4, f"{option}: {total:,} references would", remedy)
     np.cumsum(splits, out=splits)
-    lists = ListOutput(splits[:-1].copy(), np.empty(total, np.int32), limit)
-    list_triangles(corners, prim_ids, lattice, layers, lists, second_half)
-    return GridArrays(splits, lists.references)
+    references = np.empty(total, np.int32)
+    list_all(ListOutput(splits[:-1].copy(), references, limit))
+    return GridArrays(splits, references)
 
 
 def _halves(

@@ -20,8 +20,7 @@ from raystream.jit.constants import INF_F32, ONE_F32, ZERO_F32
 from raystream.jit.cpu import device
 from raystream.jit.simd import copy_sign, floor, fma
 from raystream.kernels.ray import component
-
-_HALF = np.float32(0.5)
+from raystream.structures.plane_distances import split_ray
 
 
 class Walk(NamedTuple):
@@ -99,12 +98,6 @@ def _start(t, o, d, inv, middle, low, size, count):
 
 
 @device
-def _middle(near, far):
-    # The unpadded plane is between the two padded ones.
-    return (near + far) * _HALF
-
-
-@device
 def begin_walk(lattice, ray, t):
     """Begin a walk at distance t.
 
@@ -129,12 +122,9 @@ def begin_walk(lattice, ray, t):
 def prepare_walk(lattice, ray):
     """The constants of a walk; see `begin_walk`."""
     low, size, counts = lattice.low, lattice.size, lattice.counts
-    inv = (ray.inv_x, ray.inv_y, ray.inv_z)
-    middle = (
-        _middle(ray.near_x, ray.far_x),
-        _middle(ray.near_y, ray.far_y),
-        _middle(ray.near_z, ray.far_z),
-    )
+    line = split_ray(ray)
+    inv = (line.inv_x, line.inv_y, line.inv_z)
+    middle = (line.middle_x, line.middle_y, line.middle_z)
     step = (
         copy_sign(ONE_F32, inv[0]),
         copy_sign(ONE_F32, inv[1]),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.structures.grid.options import MAX_AXIS, MAX_CELLS, check_cells
+from raystream.structures.grid.options import MAX_AXIS, MAX_CELLS, Grid, check_cells
 
 #: A cell lists the triangles within this distance, relative to the scene's largest coordinate.
 #: A hit lies within 1.5 paddings of its triangle's box, and a triangle's plane
@@ -65,21 +65,20 @@ class Lattice(NamedTuple):
         return np.array([self.low, self.high], np.float32)
 
     @classmethod
-    def of(cls, box: NDArray[np.float32], counts: Sequence[int]) -> Lattice:
+    def of(cls, box: NDArray[np.float32], counts: Sequence[int], is_exact: bool = False) -> Lattice:
         """Divide a box, of shape (2, 3), into cells not smaller than the growth."""
         low, high = box.astype(np.float64)
         growth = GROWTH * float(np.abs(box).max()) + _LEAST_GROWTH
         most = np.clip((high - low) / growth, 1.0, MAX_AXIS).astype(np.int64).tolist()
         nx, ny, nz = map(min, counts, most)
         x, y, z = ((high - low) / (nx, ny, nz)).astype(np.float32).tolist()
-        return cls(tuple(low.tolist()), tuple(high.tolist()), (x, y, z), (nx, ny, nz), growth)
+        ends = tuple(low.tolist()), tuple(high.tolist())
+        return cls(*ends, (x, y, z), (nx, ny, nz), growth, is_exact)
 
 
 def choose_lattice(
     triangles: Triangles,
-    resolution: tuple[int, int, int] | None,
-    min_resolution: int | None,
-    levels: int = 1,
+    options: Grid,
     coarser: int = 0,
 ) -> Lattice:
     """Choose the cells for a scene.
@@ -88,15 +87,9 @@ def choose_lattice(
     ----------
     triangles : Triangles
         At least one that can be hit.
-    resolution : tuple of three int, optional
-        Cells along each axis.
-    min_resolution : int, optional
-        Cells along the shortest axis that has an extent; the others get cells of about the
-        same size (Purcell 2002, section 4.1).
-    levels : int
-        1, or 2 if cells with many triangles are subdivided.
+    options : Grid
     coarser : int
-        If neither is given: how many times to halve the number of cells.
+        If they give no resolution: how many times to halve the number of cells.
 
     Returns
     -------
@@ -107,21 +100,21 @@ def choose_lattice(
     ValueError
         If there are too many cells.
     """
-    if resolution is not None:
-        return Lattice.of(triangles.bounds, resolution)
+    if options.counts is not None:
+        return Lattice.of(triangles.bounds, options.counts, options.is_exact)
     low, high = triangles.bounds.astype(np.float64)
     extent = high - low
-    if min_resolution is not None:
-        side = extent[extent > 0.0].min() / min_resolution
+    if options.min_resolution is not None:
+        side = extent[extent > 0.0].min() / options.min_resolution
         side = max(side, GROWTH * float(triangles.max_coordinate))
         counts = _counts(extent, side)
         check_cells("min_resolution", counts)
     else:
-        wanted = max(1.0, _DENSITIES[levels] * len(triangles.prim_ids) / 2.0**coarser)
+        wanted = max(1.0, _DENSITIES[options.levels] * len(triangles.prim_ids) / 2.0**coarser)
         side = float(cube_side(extent, np.array([min(wanted, MAX_CELLS / 4)]))[0])
         side = max(side, LEAST_SIDE * GROWTH * float(triangles.max_coordinate))
         counts = _counts(extent, side)
-    return Lattice.of(triangles.bounds, counts)
+    return Lattice.of(triangles.bounds, counts, options.is_exact)
 
 
 def _counts(extent: NDArray[np.float64], side: float) -> tuple[int, ...]:

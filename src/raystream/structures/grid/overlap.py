@@ -65,6 +65,15 @@ def range_along(lattice, corners, i, axis):
     )
 
 
+@device
+def cell_ranges(lattice, corners, i):
+    """First and last cells along all axes: a triple each; see `range_along`."""
+    first_x, last_x = range_along(lattice, corners, i, 0)
+    first_y, last_y = range_along(lattice, corners, i, 1)
+    first_z, last_z = range_along(lattice, corners, i, 2)
+    return (first_x, first_y, first_z), (last_x, last_y, last_z)
+
+
 class ListWriter(NamedTuple):
     """Where the triangles of cells are counted, or written.
 
@@ -112,11 +121,9 @@ def list_in_layers(lattice, corners, i, axis, begin, end, writer):
     begin_x, end_x = (begin, end) if axis == 0 else (_ZERO, lattice.counts[0])
     begin_y, end_y = (begin, end) if axis == 1 else (_ZERO, lattice.counts[1])
     begin_z, end_z = (begin, end) if axis == 2 else (_ZERO, lattice.counts[2])
-    first_x, last_x = range_along(lattice, corners, i, 0)
-    first_y, last_y = range_along(lattice, corners, i, 1)
-    first_z, last_z = range_along(lattice, corners, i, 2)
-    first = (max(first_x, begin_x), max(first_y, begin_y), max(first_z, begin_z))
-    last = (min(last_x, end_x - _ONE), min(last_y, end_y - _ONE), min(last_z, end_z - _ONE))
+    first, last = cell_ranges(lattice, corners, i)
+    first = (max(first[0], begin_x), max(first[1], begin_y), max(first[2], begin_z))
+    last = (min(last[0], end_x - _ONE), min(last[1], end_y - _ONE), min(last[2], end_z - _ONE))
     return each_cell(lattice, corners, i, first, last, list_triangle, writer)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.memory import check_memory
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
@@ -17,13 +16,14 @@ from raystream.jit.threads import thread_count
 from raystream.structures.grid.build import (
     ListOutput,
     TooManyError,
+    count_and_fill,
     parallel_count,
     reference_limit,
 )
 from raystream.structures.grid.lattice import LEAST_SIDE, Lattice, cube_side
 from raystream.structures.grid.layout import MAX_FINE_AXIS, FineArrays, GridArrays
 from raystream.structures.grid.options import MAX_CELLS
-from raystream.structures.grid.overlap import ListWriter, each_cell, list_triangle, range_along
+from raystream.structures.grid.overlap import ListWriter, cell_ranges, each_cell, list_triangle
 
 #: Cells with more triangles than this are subdivided.
 _LONG_LIST = 6
@@ -89,10 +89,7 @@ def _build(
 ) -> FineArrays:
     fine = FineArrays(cells, counts, GridArrays.empty(0))
     firsts = fine.first_cells
-    cell_count = int(firsts[-1])
-    check_memory(cell_count * 8, f"levels: {cell_count:,} cells would", "choose 1")
     limit = reference_limit(len(triangles.prim_ids))
-    splits = np.zeros(cell_count + 1, np.uint32)
     chunk = min(256, max(1, -(-len(cells) // (8 * thread_count()))))
 
     def list_all(output: ListOutput) -> int:
@@ -104,12 +101,8 @@ def _build(
 
         return parallel_count(list_some, len(cells), chunk, limit)
 
-    total = list_all(ListOutput(splits[1:], np.empty(0, np.int32), limit))
-    check_memory(total * 4, f"levels: {total:,} references would", "choose 1")
-    np.cumsum(splits, out=splits)
-    references = np.empty(total, np.int32)
-    list_all(ListOutput(splits[:-1].copy(), references, limit))
-    return FineArrays(cells, counts, GridArrays(splits, references))
+    filled = count_and_fill(int(firsts[-1]), limit, list_all, "levels", "choose 1")
+    return FineArrays(cells, counts, filled)
 
 
 @kernel
@@ -139,10 +132,7 @@ def _list_cells(begin, end, lattice, lists, cells, counts, firsts, corners, outp
         writer = ListWriter(at, reference_at, is_fill)
         for place in range(np.uint64(splits[cell]), np.uint64(splits[cell + 1])):
             prim_id = np.uint64(prim_ids[place])
-            first_x, last_x = range_along(fine, corners, prim_id, 0)
-            first_y, last_y = range_along(fine, corners, prim_id, 1)
-            first_z, last_z = range_along(fine, corners, prim_id, 2)
-            first, last = (first_x, first_y, first_z), (last_x, last_y, last_z)
+            first, last = cell_ranges(fine, corners, prim_id)
             total += each_cell(fine, corners, prim_id, first, last, list_triangle, writer)
             # Checked here, since a list of equal triangles grows with the square of its length.
             if total > limit:

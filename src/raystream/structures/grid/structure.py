@@ -32,7 +32,7 @@ from raystream.structures.grid.refine import refine
 from raystream.structures.grid.statistics import statistics, trace_cost
 from raystream.structures.grid.traversal import traverse
 from raystream.structures.grid.update import move_lists
-from raystream.structures.saved import take
+from raystream.structures.saved import solid_mask, take
 
 #: Cells and triangles per call of a compiled loop: 0.2 s at worst. With 2**22, calls of 52 rays
 #: took a tenth of the time in a hall with a few very long lists.
@@ -67,14 +67,7 @@ class GridStructure(Structure):
         self, triangles: Triangles, options: Grid, *, progress: Progress | None = None
     ) -> None:
         started = time.perf_counter()
-        lattice, lists = build_grid(
-            triangles,
-            options.counts,
-            options.min_resolution,
-            options.levels,
-            options.is_exact,
-            progress,
-        )
+        lattice, lists = build_grid(triangles, options, progress)
         fine = refine(triangles, lattice, lists) if options.levels == 2 else FineArrays.none()
         self._set(triangles, lattice, lists, fine, options, started)
 
@@ -154,11 +147,10 @@ class GridStructure(Structure):
         started = time.perf_counter()
         counts = take(arrays, "counts", np.int64, (3,)).tolist()
         check_cells("counts", counts)
-        lattice = _saved_lattice(arrays, counts, triangles)._replace(is_exact=options.is_exact)
+        lattice = _saved_lattice(arrays, counts, triangles, options.is_exact)
         if list(lattice.counts) != counts:
             raise ValueError("the number of cells does not fit the bounding box")
-        solid = np.zeros(len(triangles), np.bool_)
-        solid[triangles.prim_ids] = True
+        solid = solid_mask(triangles)
         lists = check_lists(arrays, "", lattice.cell_count, solid)
         found = np.zeros(len(triangles), np.bool_)
         found[lists.references] = True
@@ -208,7 +200,7 @@ class GridStructure(Structure):
 
 
 def _saved_lattice(
-    arrays: Mapping[str, NDArray[Any]], counts: list[int], triangles: Triangles
+    arrays: Mapping[str, NDArray[Any]], counts: list[int], triangles: Triangles, is_exact: bool
 ) -> Lattice:
     """The lattice of a file, whose box contains the triangles but may be larger."""
     box = take(arrays, "box", np.float32, (2, 3))
@@ -217,7 +209,7 @@ def _saved_lattice(
     low, high = triangles.bounds
     if len(triangles.prim_ids) and ((box[0] > low).any() or (box[1] < high).any()):
         raise ValueError("the bounding box does not contain the triangles")
-    return Lattice.of(box, counts)
+    return Lattice.of(box, counts, is_exact)
 
 
 def _addresses(lattice: Lattice, kept: tuple[NDArray[Any], ...]) -> GridAddresses:

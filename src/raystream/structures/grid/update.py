@@ -17,6 +17,7 @@ from raystream.jit.threads import parallel_for
 from raystream.structures.grid.build import ListOutput, find_layers, list_triangles
 from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.layout import MAX_REFERENCES, GridArrays
+from raystream.structures.saved import solid_mask
 
 #: Triangles, and cells, per call of a kernel.
 _TRIANGLE_CHUNK = 1 << 14
@@ -44,7 +45,7 @@ def move_lists(old: Triangles, new: Triangles, lattice: Lattice, lists: GridArra
     MemoryError
         If there is not enough memory.
     """
-    was, now = _solid(old), _solid(new)
+    was, now = solid_mask(old), solid_mask(new)
     moved = np.empty(len(now), np.bool_)
     arrays = _flat(old.corners), _flat(new.corners), was, now, moved
 
@@ -66,10 +67,13 @@ def move_lists(old: Triangles, new: Triangles, lattice: Lattice, lists: GridArra
     list_triangles(new.corners, ids, lattice, layers, ListOutput(entered, nothing))
 
     # Step 2: allocate the new lists.
-    def count(begin: int, end: int) -> None:
-        _count_kept(begin, end, *lists, left, moved, kept)
+    def keep(output: ListOutput) -> None:
+        def keep_some(begin: int, end: int) -> None:
+            _keep(begin, end, lists, left, moved, output)
 
-    parallel_for(count, cell_count, _CELL_CHUNK)
+        parallel_for(keep_some, cell_count, _CELL_CHUNK)
+
+    keep(ListOutput(kept, nothing))
     total = int(kept.sum(dtype=np.int64) + entered.sum(dtype=np.int64))
     check_memory(total * 4, f"update: {total:,} references would")
     if total > MAX_REFERENCES:
@@ -80,13 +84,9 @@ def move_lists(old: Triangles, new: Triangles, lattice: Lattice, lists: GridArra
     result = GridArrays(splits, np.empty(total, np.int32))
 
     # Step 3: copy the triangles that stay, append those that enter, sort.
-    positions = kept  # from here on: the row of the next triangle that enters
-
-    def keep(begin: int, end: int) -> None:
-        _copy_kept(begin, end, *lists, left, moved, *result, positions)
-
-    parallel_for(keep, cell_count, _CELL_CHUNK)
-    output = ListOutput(positions, result.references)
+    kept[:] = splits[:-1]  # from here on: the row of the next triangle
+    output = ListOutput(kept, result.references)
+    keep(output)
     list_triangles(new.corners, ids, lattice, layers, output)
 
     def sort(begin: int, end: int) -> None:
@@ -94,12 +94,6 @@ def move_lists(old: Triangles, new: Triangles, lattice: Lattice, lists: GridArra
 
     parallel_for(sort, cell_count, _CELL_CHUNK)
     return result
-
-
-def _solid(triangles: Triangles) -> NDArray[np.bool_]:
-    solid = np.zeros(len(triangles), np.bool_)
-    solid[triangles.prim_ids] = True
-    return solid
 
 
 def _flat(corners: NDArray[np.float32]) -> NDArray[Any]:
@@ -117,30 +111,23 @@ def _compare(begin, end, old, new, was, now, moved):
 
 
 @kernel
-def _count_kept(begin, end, splits, references, left, moved, kept):
-    """Count the triangles of each cell that did not move."""
+def _keep(begin, end, lists, left, moved, output):
+    """Count the triangles of each cell that did not move, or copy them."""
+    is_fill = len(output.references) > 0
     for cell in range(np.uint64(begin), np.uint64(end)):
-        first, last = np.uint64(splits[cell]), np.uint64(splits[cell + np.uint64(1)])
-        count = last - first
-        if left[cell] != 0:
-            for row in range(first, last):
-                if moved[np.uint64(references[row])]:
-                    count -= np.uint64(1)
-        kept[cell] = count
-
-
-@kernel
-def _copy_kept(begin, end, splits, references, left, moved, new_splits, new_references, positions):
-    """Copy the triangles of each cell that did not move, and write where they end."""
-    for cell in range(np.uint64(begin), np.uint64(end)):
-        to = np.uint64(new_splits[cell])
+        first, last = np.uint64(lists.splits[cell]), np.uint64(lists.splits[cell + np.uint64(1)])
+        to = np.uint64(output.positions[cell])
         leaves = left[cell] != 0
-        for row in range(np.uint64(splits[cell]), np.uint64(splits[cell + np.uint64(1)])):
-            prim_id = references[row]
+        if not (leaves or is_fill):  # all of them stay
+            output.positions[cell] = to + (last - first)
+            continue
+        for row in range(first, last):
+            prim_id = lists.references[row]
             if not (leaves and moved[np.uint64(prim_id)]):
-                new_references[to] = prim_id
+                if is_fill:
+                    output.references[to] = prim_id
                 to += np.uint64(1)
-        positions[cell] = to
+        output.positions[cell] = to
 
 
 @kernel

@@ -19,7 +19,6 @@ from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, parallel_for
 from raystream.structures.clip import BOUND
 from raystream.structures.kdtree.layout import LEAF_AXIS, MAX_NODES, KdArrays
-from raystream.structures.kdtree.options import MAX_DEPTH
 from raystream.structures.kdtree.subtree import (
     BuildSettings,
     Cell,
@@ -112,8 +111,7 @@ def build_arrays(
 class _Builder:
     def __init__(self, triangles: Triangles, settings: BuildSettings) -> None:
         self.prim_ids = triangles.prim_ids
-        max_depth = min(settings.max_depth, MAX_DEPTH)
-        self.settings = settings._replace(max_depth=max_depth)
+        self.settings = settings
         bound = float(triangles.max_coordinate) * BOUND
         self.triangles = GrownTriangles(triangles.corners, bound, settings.overlap)
         self.subtree_size = subtree_size(len(self.prim_ids))

@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import kernel
-from raystream.structures.kdtree.layout import LEAF_AXIS
+from raystream.structures.kdtree.layout import LEAF_AXIS, find_cells
 
 #: Bits of a pointer: that it leads to a leaf; a bit of the split's axis.
 LEAF_BIT = 31
@@ -47,71 +46,27 @@ class FoleyArrays(NamedTuple):
     leaves: NDArray[np.uint32]
 
 
-@kernel
-def _pack(nodes, bits, rows, splits, leaves):
-    split_count, leaf_count = 0, 0
-    for node in range(len(nodes)):
-        if nodes[node, 1] & 3 == LEAF_AXIS:
-            rows[node] = leaf_count
-            leaf_count += 1
-        else:
-            rows[node] = split_count
-            split_count += 1
-    leaves[0, 2] = _NO_PARENT
-    for node in range(len(nodes)):
-        axis, number, row = nodes[node, 1] & 3, nodes[node, 1] >> 2, rows[node]
-        if axis == LEAF_AXIS:
-            leaves[row, 0], leaves[row, 1] = number, bits[node, 0]
-            continue
-        splits[row, 0] = bits[node, 0]
-        for side in range(2):
-            child = number + side
-            word = np.int64(rows[child]) | np.int64((axis >> side) & 1) << AXIS_BIT
-            if nodes[child, 1] & 3 == LEAF_AXIS:
-                word |= np.int64(1) << LEAF_BIT
-                leaves[rows[child], 2] = row
-            splits[row, 1 + side] = np.uint32(word)
+def _parents(left: NDArray[np.int32], node_count: int) -> NDArray[np.int32]:
+    """The row of each node's parent among the splits, whose left children are given."""
+    parents = np.full(node_count, _NO_PARENT, np.int32)
+    parents[left] = parents[left + 1] = np.arange(len(left))
+    return parents
 
 
 def pack(nodes: NDArray[np.int32]) -> FoleyArrays:
     """Convert a tree of at least one node to Foley's layout."""
-    split_count = len(nodes) // 2
-    packed = FoleyArrays(
-        np.empty((split_count, 3), np.uint32), np.empty((split_count + 1, 3), np.uint32)
+    axis, number, first_words = nodes[:, 1] & 3, nodes[:, 1] >> 2, nodes.view(np.uint32)[:, 0]
+    is_leaf = axis == LEAF_AXIS
+    is_split = ~is_leaf
+    left, axis = number[is_split], axis[is_split].astype(np.uint32)
+    pointers = (np.where(is_leaf, np.cumsum(is_leaf), np.cumsum(is_split)) - 1).astype(np.uint32)
+    pointers |= is_leaf.astype(np.uint32) << LEAF_BIT
+    below, above = (pointers[left + k] | (axis >> k & 1) << AXIS_BIT for k in range(2))
+    parents = _parents(left, len(nodes))[is_leaf]
+    leaves = number[is_leaf].astype(np.uint32), first_words[is_leaf], parents.astype(np.uint32)
+    return FoleyArrays(
+        np.column_stack([first_words[is_split], below, above]), np.column_stack(leaves)
     )
-    _pack(nodes, nodes.view(np.uint32), np.empty(len(nodes), np.int32), *packed)
-    return packed
-
-
-@kernel
-def _extend(nodes, positions, is_packed, rows, parents, bounds, links):
-    split_count = 0
-    for node in range(len(nodes)):
-        axis, left = nodes[node, 1] & 3, nodes[node, 1] >> 2
-        if axis == LEAF_AXIS:
-            continue
-        row = split_count if is_packed else left >> 1
-        split_count += 1
-        rows[node] = row
-        parents[left] = parents[left + 1] = node
-        if node == 0:
-            for k in range(3):
-                bounds[row, k], bounds[row, k + 3] = -np.inf, np.inf
-            links[row, 6] = _NO_PARENT
-        else:
-            parent = parents[node]
-            split_axis = nodes[parent, 1] & 3
-            for k in range(6):
-                bounds[row, k] = bounds[rows[parent], k]
-            if node & 1:  # below its parent's plane
-                k = split_axis + 3
-                bounds[row, k] = min(bounds[row, k], positions[parent, 0])
-            else:
-                bounds[row, split_axis] = max(bounds[row, split_axis], positions[parent, 0])
-            links[row, 6] = rows[parent]
-        if not is_packed:
-            links[row, 6] = node
-        links[row, 7] = 0
 
 
 def extend(nodes: NDArray[np.int32], is_packed: bool) -> NDArray[np.float32]:
@@ -133,15 +88,14 @@ def extend(nodes: NDArray[np.int32], is_packed: bool) -> NDArray[np.float32]:
         search. Then, as the bits of an int32, the parent's row; without `is_packed` the split's
         own row in `nodes`. The last number is 0: 32 bytes per split, as in the paper.
     """
-    extended = np.empty((len(nodes) // 2, 8), np.float32)
-    rows, parents = (np.zeros(len(nodes), np.int32) for _ in range(2))
-    _extend(
-        nodes,
-        nodes.view(np.float32),
-        is_packed,
-        rows,
-        parents,
-        extended,
-        extended.view(np.int32),
-    )
+    splits = np.flatnonzero(nodes[:, 1] & 3 != LEAF_AXIS)
+    left = nodes[splits, 1] >> 2
+    boxes = np.empty((len(nodes), 6), np.float32)
+    boxes[0, :3], boxes[0, 3:] = -np.inf, np.inf
+    find_cells(nodes, nodes.view(np.float32), boxes, np.zeros(len(nodes), np.int32))
+    extended = np.zeros((len(splits), 8), np.float32)
+    rows = np.arange(len(splits)) if is_packed else left >> 1
+    extended[rows, :6] = boxes[splits]
+    links = _parents(left, len(nodes))[splits] if is_packed else splits
+    extended.view(np.int32)[rows, 6] = links
     return extended

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import device, kernel
+from raystream.jit.cpu import kernel
 from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.kdtree.options import MAX_DEPTH
-from raystream.structures.saved import are_listed, take
+from raystream.structures.saved import check_blocks, take
 
 #: Most nodes of a tree: the number of a child has 29 bits.
 MAX_NODES = 1 << 29
@@ -39,140 +39,85 @@ class KdArrays(NamedTuple):
     prim_ids: NDArray[np.int32]
 
 
-def default_depth(triangle_count: int) -> int:
-    """Default maximum depth (Pharr and Humphreys 2004)."""
+def depth_limit(max_depth: int | None, triangle_count: int) -> int:
+    """The option `max_depth`, or its default (Pharr and Humphreys 2004)."""
+    if max_depth is not None:
+        return max_depth
     return min(MAX_DEPTH, round(8 + 1.3 * math.log2(max(triangle_count, 1))))
 
 
-class TreeFigures(NamedTuple):
-    """The figures of a tree.
-
-    Attributes
-    ----------
-    depth : int
-        Splits on the longest path.
-    leaf_count, empty_count : int
-        Leaves, and those without triangles.
-    reference_count : int
-        Triangles of all leaves; one in several leaves counts several times.
-    splits_per_ray, leaves_per_ray, tests_per_ray : float
-        Expected for a random line through the bounds, whether or not it hits anything.
-    """
-
-    depth: int
-    leaf_count: int
-    empty_count: int
-    reference_count: int
-    splits_per_ray: float
-    leaves_per_ray: float
-    tests_per_ray: float
-
-
-@device
-def _half_area(cells, node):
-    x = np.float64(cells[node, 3]) - cells[node, 0]
-    y = np.float64(cells[node, 4]) - cells[node, 1]
-    z = np.float64(cells[node, 5]) - cells[node, 2]
-    return x * y + y * z + z * x
-
-
 @kernel
-def _measure(nodes, positions, cells, depths):
-    """Visit the nodes of a valid tree; row 0 of `cells` is the scene's box."""
-    deepest, leaf_count, empty_count, reference_count = 0, 0, 0, 0
-    splits, leaves, tests = 0.0, 0.0, 0.0
-    whole = _half_area(cells, 0)
-    for node in range(len(nodes)):
-        axis, number = nodes[node, 1] & 3, nodes[node, 1] >> 2
-        area = _half_area(cells, node)
-        deepest = max(deepest, depths[node])
+def find_cells(nodes, positions, boxes, depths):
+    """Write the boxes and depths of the nodes of a tree, given those of the root in row 0.
+
+    Parameters
+    ----------
+    nodes, positions : ndarray of shape (M, 2), int32 and float32
+        The same memory; see `KdArrays`.
+    boxes : ndarray of shape (M, 6), float32
+        Low x, y, z, high x, y, z. A plane outside its box is moved to the box.
+    depths : ndarray of shape (M,), int32
+        Splits above a node.
+    """
+    for node in range(len(nodes)):  # parents come before their children
+        axis, left = nodes[node, 1] & 3, nodes[node, 1] >> 2
         if axis == LEAF_AXIS:
-            leaf_count += 1
-            empty_count += number == 0
-            reference_count += number
-            leaves += area
-            tests += area * number
             continue
-        splits += area
+        inside = min(max(positions[node, 0], boxes[node, axis]), boxes[node, axis + 3])
         for side in range(2):
-            child = number + side
+            child = left + side
             depths[child] = depths[node] + 1
             for k in range(6):
-                cells[child, k] = cells[node, k]
-            inside = min(max(positions[node, 0], cells[node, axis]), cells[node, axis + 3])
-            cells[child, axis + 3 * (1 - side)] = inside
-    return (
-        (deepest, leaf_count, empty_count, reference_count),
-        (splits / whole, leaves / whole, tests / whole),
-    )
+                boxes[child, k] = boxes[node, k]
+            boxes[child, axis + 3 * (1 - side)] = inside
 
 
-def measure(nodes: NDArray[np.int32], bounds: NDArray[np.float32]) -> TreeFigures:
-    """Measure a tree of at least one node; `bounds` of shape (2, 3) is the scene's box."""
-    cells = np.empty((len(nodes), 6), np.float32)
-    cells[0] = bounds.ravel()
-    depths = np.zeros(len(nodes), np.int32)
-    counts, sums = _measure(nodes, nodes.view(np.float32), cells, depths)
-    return TreeFigures(*counts, *sums)
+def measure(nodes: NDArray[np.int32], bounds: NDArray[np.float32]) -> dict[str, float]:
+    """Measure a tree.
+
+    Parameters
+    ----------
+    nodes : ndarray of shape (M, 2), int32
+        At least one; see `KdArrays`.
+    bounds : ndarray of shape (2, 3), float32
+        The scene's box.
+
+    Returns
+    -------
+    dict of str to float
+        See `KdTreeStructure.quality`.
+    """
+    boxes, depths = np.empty((len(nodes), 6), np.float32), np.zeros(len(nodes), np.int32)
+    boxes[0] = bounds.ravel()
+    find_cells(nodes, nodes.view(np.float32), boxes, depths)
+    x, y, z = (boxes[:, 3:].astype(np.float64) - boxes[:, :3]).T
+    areas = x * y + y * z + z * x
+    is_leaf = nodes[:, 1] & 3 == LEAF_AXIS
+    counts = np.where(is_leaf, nodes[:, 1] >> 2, 0)
+    visits = np.stack([~is_leaf, is_leaf, counts], axis=1)
+    with np.errstate(invalid="ignore"):  # nan where the scene has no area
+        splits, leaves, tests = ((areas[:, None] * visits).sum(axis=0) / areas[0]).tolist()
+    return {
+        "nodes": float(len(nodes)),
+        "leaves": float(np.count_nonzero(is_leaf)),
+        "empty leaves": float(np.count_nonzero(is_leaf & (counts == 0))),
+        "references": float(counts.sum(dtype=np.int64)),
+        "depth": float(depths.max()),
+        "splits per ray": splits,
+        "leaves per ray": leaves,
+        "tests per ray": tests,
+    }
 
 
-# Error codes of `_check_tree`.
-_BAD_CHILD, _BAD_PLANE, _BAD_LEAF, _BAD_ID, _MISSING = -1, -2, -3, -4, -5
-
-_FAULTS = {
-    _BAD_CHILD: "a node's child is out of range or has two parents",
-    _BAD_PLANE: "the plane of a split is not finite",
-    _BAD_LEAF: "a leaf is out of range",
-    _BAD_ID: "a leaf lists an invalid triangle, or too few",
-    _MISSING: "a triangle of the scene is in no leaf",
-}
-
-
-@kernel
-def _check_tree(nodes, positions, prim_ids, depths, solid, wanted):
-    """Depth of the tree, or a negative error code."""
-    node_count, block_count = len(nodes), len(prim_ids)
-    deepest = 0
-    for node in range(node_count):
-        # Parents come before their children, so a node not reached by now has none.
-        if node > 0 and depths[node] == 0:
-            return _BAD_CHILD
-        axis, number = nodes[node, 1] & 3, np.int64(nodes[node, 1]) >> 2
-        if axis == LEAF_AXIS:
-            first = np.int64(nodes[node, 0])
-            if number < 0 or first < 0:
-                return _BAD_LEAF
-            if first + (number + BLOCK_SIZE - 1) // BLOCK_SIZE > block_count:
-                return _BAD_LEAF
-            if not are_listed(prim_ids, first, number, solid, wanted):
-                return _BAD_ID
-            continue
-        if not np.isfinite(positions[node, 0]):
-            return _BAD_PLANE
-        # A greater row than the parent's: no cycle. Not reached before: one parent.
-        if number <= node or number + 1 >= node_count or number % 2 == 0 or depths[number] != 0:
-            return _BAD_CHILD
-        depths[number] = depths[number + 1] = depths[node] + 1
-        deepest = max(deepest, depths[number])
-    for row in range(len(wanted)):
-        if wanted[row]:
-            return _MISSING
-    return deepest
-
-
-def check_arrays(
-    arrays: Mapping[str, NDArray[Any]], solid_ids: NDArray[np.int32], triangle_count: int
-) -> KdArrays:
+def check_arrays(arrays: Mapping[str, NDArray[Any]], solid: NDArray[np.bool_]) -> KdArrays:
     """Check a tree from a file: that no traversal reads out of bounds or never ends.
 
     Parameters
     ----------
     arrays : mapping of str to ndarray
         ``nodes`` and ``prim_ids``, see `KdArrays`.
-    solid_ids : ndarray of shape (A,), int32
-        The triangles that the tree must hold, and no others.
-    triangle_count : int
-        Of the scene.
+    solid : ndarray of shape (F,), bool
+        Whether the tree must hold a triangle of the scene.
 
     Returns
     -------
@@ -190,22 +135,25 @@ def check_arrays(
     """
     nodes = take(arrays, "nodes", np.int32, (None, 2))
     prim_ids = take(arrays, "prim_ids", np.int32, (None, BLOCK_SIZE))
-    # In all blocks, also those of no leaf: corners are looked up for each.
-    if len(prim_ids) and (prim_ids.min() < -1 or prim_ids.max() >= triangle_count):
-        raise ValueError(_FAULTS[_BAD_ID])
-    if len(nodes) == 0:
-        if len(solid_ids) or len(prim_ids):
-            raise ValueError(_FAULTS[_MISSING])
-        return KdArrays(nodes, prim_ids)
-    if len(nodes) % 2 == 0 or len(nodes) > MAX_NODES:
-        raise ValueError(f"a tree cannot have {len(nodes):,} nodes")
-    solid = np.zeros(triangle_count, np.bool_)
-    solid[solid_ids] = True
-    depths = np.zeros(len(nodes), np.int32)
-    positions = nodes.view(np.float32)
-    depth = _check_tree(nodes, positions, prim_ids, depths, solid, solid.copy())
-    if depth in _FAULTS:
-        raise ValueError(_FAULTS[depth])
-    if depth > MAX_DEPTH:
-        raise ValueError(f"the tree is {depth} splits deep; at most {MAX_DEPTH} are possible")
+    is_leaf = nodes[:, 1] & 3 == LEAF_AXIS
+    if len(nodes):
+        if len(nodes) % 2 == 0 or len(nodes) > MAX_NODES:
+            raise ValueError(f"a tree cannot have {len(nodes):,} nodes")
+        splits = np.flatnonzero(~is_leaf)
+        left = nodes[splits, 1] >> 2
+        # Greater rows than the parent's: no cycle. Half as many pairs as nodes, each once: one
+        # parent.
+        is_bad = (left <= splits) | (left + 1 >= len(nodes)) | (left % 2 == 0)
+        if is_bad.any() or len(np.unique(left)) != len(nodes) // 2:
+            raise ValueError("a node's child is out of range or has two parents")
+        positions = nodes.view(np.float32)
+        if not np.isfinite(positions[splits, 0]).all():
+            raise ValueError("the plane of a split is not finite")
+        boxes, depths = np.zeros((len(nodes), 6), np.float32), np.zeros(len(nodes), np.int32)
+        find_cells(nodes, positions, boxes, depths)
+        if depths.max() > MAX_DEPTH:
+            raise ValueError(
+                f"the tree is {depths.max()} splits deep; at most {MAX_DEPTH} are possible"
+            )
+    check_blocks(prim_ids, nodes[is_leaf, 0], nodes[is_leaf, 1] >> 2, solid, "leaf")
     return KdArrays(nodes, prim_ids)

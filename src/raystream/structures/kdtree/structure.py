@@ -16,13 +16,14 @@ from raystream.kernels.leaf_block import filled_blocks
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.kdtree.build import build_arrays
 from raystream.structures.kdtree.foley_layout import LEAF_BIT, FoleyArrays, extend, pack
-from raystream.structures.kdtree.layout import KdArrays, check_arrays, default_depth, measure
+from raystream.structures.kdtree.layout import KdArrays, check_arrays, depth_limit, measure
 from raystream.structures.kdtree.nodes import KdAddresses
 from raystream.structures.kdtree.options import OVERLAPS, TRAVERSALS, KdTree
 from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.state import STACK_BYTES
 from raystream.structures.kdtree.subtree import BuildSettings
 from raystream.structures.kdtree.traversal import traverse
+from raystream.structures.saved import solid_mask
 
 
 class KdTreeStructure(Structure):
@@ -135,20 +136,9 @@ class KdTreeStructure(Structure):
             return dict.fromkeys(("nodes", "leaves", "empty leaves", "references", "depth"), 0.0)
         found = measure(self.tree.nodes, self.triangles.bounds)
         node_bytes = sum(array.nbytes for name, array in self.arrays.items() if name != "blocks")
-        cost = self.options.traversal_cost * found.splits_per_ray
-        cost += self.options.intersection_cost * found.tests_per_ray
-        return {
-            "nodes": float(node_count),
-            "leaves": float(found.leaf_count),
-            "empty leaves": float(found.empty_count),
-            "references": float(found.reference_count),
-            "depth": float(found.depth),
-            "bytes per node": node_bytes / node_count,
-            "splits per ray": found.splits_per_ray,
-            "leaves per ray": found.leaves_per_ray,
-            "tests per ray": found.tests_per_ray,
-            "cost": cost,
-        }
+        cost = self.options.traversal_cost * found["splits per ray"]
+        cost += self.options.intersection_cost * found["tests per ray"]
+        return {**found, "bytes per node": node_bytes / node_count, "cost": cost}
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """The tree."""
@@ -160,7 +150,7 @@ class KdTreeStructure(Structure):
     ) -> KdTreeStructure:
         """Make a kd-tree from saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
-        tree = check_arrays(arrays, triangles.prim_ids, len(triangles))
+        tree = check_arrays(arrays, solid_mask(triangles))
         structure = cls.__new__(cls)
         structure._set(triangles, tree, options, started)
         return structure
@@ -168,9 +158,7 @@ class KdTreeStructure(Structure):
 
 def settings_of(options: KdTree, triangle_count: int) -> BuildSettings:
     """The build settings of some options."""
-    max_depth = options.max_depth
-    if max_depth is None:
-        max_depth = default_depth(triangle_count)
+    max_depth = depth_limit(options.max_depth, triangle_count)
     costs = Costs(options.traversal_cost, options.intersection_cost, options.empty_bonus)
     overlap = OVERLAPS.index(options.overlap)
     return BuildSettings(costs, max_depth, options.max_leaf_size, overlap)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from raystream.jit.constants import ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, load, scratch, store
+from raystream.structures.boxes import copy_box
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD, clip_to_plane
 from raystream.structures.exact_overlap import clip_to_triangle
 from raystream.structures.kdtree.layout import LEAF_AXIS
@@ -133,13 +134,6 @@ def make_references(begin, end, corners, prim_ids, bound, boxes, bounds):
             boxes[i, axis], boxes[i, axis + np.uint64(3)] = low, high
             bounds[axis] = min(bounds[axis], low)
             bounds[axis + np.uint64(3)] = max(bounds[axis + np.uint64(3)], high)
-
-
-@device
-def copy_box(to, source):
-    """Copy a box between addresses."""
-    for k in range(np.uint64(6)):
-        store(to + k * WORD, load(np.float32, source + k * WORD))
 
 
 @device
@@ -281,8 +275,26 @@ def _put_pending(to, begin, end, node, depth, bad_splits, room):
 
 
 @device
-def _put_leaf(node, ids, begin, end, leaf_ids, block):
-    """Write a leaf and its blocks, from a block on; returns the next block."""
+def put_leaf(node, ids, begin, end, leaf_ids, block):
+    """Write a leaf and its blocks of triangles.
+
+    Parameters
+    ----------
+    node : uint64
+        Address.
+    ids : uint64
+        Address of the triangles, of which the leaf gets `begin` to `end`.
+    begin, end : uint64
+    leaf_ids : uint64
+        Address of the blocks of all leaves.
+    block : uint64
+        The leaf's first one.
+
+    Returns
+    -------
+    uint64
+        The next block.
+    """
     count = end - begin
     store(node, np.int32(block))
     store(node + WORD, np.int32((np.int32(count) << np.int32(2)) | _LEAF_BITS))
@@ -347,7 +359,7 @@ def grow_subtree(references, cell, triangles, settings, tree, result):
                 work,
             )
         if axis == LEAF:
-            block = _put_leaf(node, id_at, begin, end, leaf_at, block)
+            block = put_leaf(node, id_at, begin, end, leaf_at, block)
             continue
         store(node, position)
         store(node + WORD, np.int32(node_end << TWO_U64 | axis))

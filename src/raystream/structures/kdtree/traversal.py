@@ -3,12 +3,11 @@
 The traversals differ in how they continue after a leaf only: one file each in `traversals`. The
 multipass machine runs the steps as kernels of their own; `traverse` runs them fused.
 
-A split plane has one distance along a ray, ``fma(plane, inv, middle)``: the slab distance
-without padding, which depends on the plane's position alone and is monotone in it. It
-divides the ray's interval into half-open parts: a distance t lies on the near side of the plane
-if it is less than the plane's, else on the far side. So each t belongs to exactly one leaf, the
-same in every traversal, and a hit counts in the leaf that its t belongs to and nowhere
-else: no triangle is hit twice, and none needs to be remembered.
+A split plane has one distance along a ray (`plane_distances`). It divides the ray's interval into
+half-open parts: a distance t lies on the near side of the plane if it is less than the plane's,
+else on the far side. So each t belongs to exactly one leaf, the same in every traversal, and a hit
+counts in the leaf that its t belongs to and nowhere else: no triangle is hit twice, and none needs
+to be remembered.
 
 Every search ends. The interval [t_in, t_out) of a state is never empty: `descend` gives a child its
 part only if that is not empty, and the last part ends just after the ray's closed end. Leaving a
@@ -27,38 +26,24 @@ Foley and Sugerman, "KD-Tree Acceleration Structures for a GPU Raytracer", Graph
 
 from __future__ import annotations
 
-import numpy as np
-
-from raystream.jit.constants import NULL, ONE_U64, ZERO_F32, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import fma, next_float_up
-from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
-from raystream.kernels.ray import component
+from raystream.jit.simd import next_float_up
+from raystream.kernels.leaf_block import block_ray, search_blocks
 from raystream.kernels.search import is_full, is_over
-from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import (
     BACKTRACK_STEPS,
     BACKTRACKS,
     LEAVES,
     RESTARTS,
     STEPS,
-    TESTS,
     add_to,
 )
 from raystream.structures.kdtree.nodes import is_leaf, leaf_of, split_of
-from raystream.structures.kdtree.state import KdState, split_ray
+from raystream.structures.kdtree.state import KdState
 from raystream.structures.kdtree.traversals import continue_search, push, restarts
 from raystream.structures.kdtree.traversals.backtrack import backtrack
-
-_LANES = np.uint64(4)
-
-
-@device
-def _distance(line, axis, position):
-    """Distance of a plane along a ray, and whether the ray crosses it upward."""
-    inv = component(axis, line.inv_x, line.inv_y, line.inv_z)
-    middle = component(axis, line.middle_x, line.middle_y, line.middle_z)
-    return fma(position, inv, middle), inv > ZERO_F32
+from raystream.structures.plane_distances import plane_distance, scene_interval, split_ray
 
 
 @device
@@ -78,10 +63,7 @@ def initialize(tree, ray, t_min, t_max):
         Whether the ray can hit anything.
     state : KdState
     """
-    low, high = tree.low, tree.high
-    t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
-    # A hit lies in its triangle's slab interval, so in that of the scene's box.
-    t_in, t_out = max(t_in, t_min), min(t_out, t_max)
+    t_in, t_out = scene_interval(tree, ray, t_min, t_max)
     t_end = next_float_up(t_out)
     is_active = tree.nodes != NULL and t_in <= t_out
     return is_active, KdState(tree.root, t_in, t_end, t_end, ZERO_U64, False)
@@ -105,7 +87,7 @@ def descend(tree, line, state, stack):
     KdState
     """
     split = split_of(tree, state.node)
-    t, is_upward = _distance(line, split.axis, split.position)
+    t, is_upward = plane_distance(line, split.axis, split.position)
     first = split.below if is_upward else split.above
     second = split.above if is_upward else split.below
     node, t_out, top = first, state.t_out, state.top
@@ -130,13 +112,11 @@ def traverse(tree, ray, search, stack):
             add_to(search.counters, STEPS, ONE_U64)
         triangles = leaf_of(tree, state.node)
         add_to(search.counters, LEAVES, ONE_U64)
-        block, left = triangles.block, triangles.triangle_count
-        while block != triangles.end:
-            search = intersect_block(block, triangle_ray, search, state.t_in, state.t_out)
-            add_to(search.counters, TESTS, min(left, _LANES))
-            block, left = block + BLOCK, left - _LANES
-            if is_full(search):
-                return search
+        search = search_blocks(
+            triangles.block, triangles.end, triangle_ray, search, state.t_in, state.t_out
+        )
+        if is_full(search):
+            return search
         if is_over(search, state.t_out) or state.t_out >= state.t_end:
             return search
         if restarts(tree, state):

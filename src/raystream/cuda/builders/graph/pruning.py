@@ -23,7 +23,7 @@ from raystream.structures.graph.prune import (
     PENDING_BYTES,
     UNION_BYTES,
     Chosen,
-    put_leaf,
+    choose_leaf,
     weigh_split,
 )
 from raystream.structures.kdtree.layout import LEAF_AXIS
@@ -81,7 +81,7 @@ def place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
     to = ids + np.uint64(load(np.uint32, places + node * WORD)) * WORD
     for k in range(count):
         store(to + k * WORD, load(np.int32, tree_ids + (first + k) * WORD))
-    put_leaf(node, boxes, costs, chosen, to, count)
+    choose_leaf(node, boxes, costs, chosen, to, count)
 
 
 @gpu_kernel(costs=Costs, chosen=Chosen, budget=ListBudget)

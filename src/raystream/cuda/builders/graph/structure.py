@@ -21,7 +21,7 @@ from raystream.structures.graph.bins import bin_corners, choose_bin_counts
 from raystream.structures.graph.build import graph_box, tree_settings_of
 from raystream.structures.graph.layout import NODE_WORDS, SECTOR_ROWS, VOID, GraphArrays
 from raystream.structures.graph.options import Graph
-from raystream.structures.graph.structure import GraphStructure, addresses_of, settings_of
+from raystream.structures.graph.structure import GraphStructure, addresses_of
 
 
 class DeviceGraph(RebuiltOnDevice, GraphStructure):
@@ -77,7 +77,7 @@ def build_graph(gpu: Gpu, triangles: Triangles, options: Graph) -> GraphStructur
         return GraphStructure(triangles, options)
     started = time.perf_counter()
     corners = gpu.upload("corners", triangles.corners)
-    settings = tree_settings_of(settings_of(options, len(triangles.prim_ids)))
+    settings = tree_settings_of(options, len(triangles.prim_ids))
     tree = grow_tree(gpu, triangles, corners, settings)
     numbers = number_nodes(gpu, tree, len(triangles.prim_ids))
     lists = prune(gpu, tree, numbers, settings.costs)

@@ -16,10 +16,11 @@ from raystream.jit.constants import BITS_32, BYTES_64, LOW_32, ONE_U64, TWO_U64,
 from raystream.jit.cpu import device
 from raystream.jit.cuda import DeviceArray, gpu_kernel
 from raystream.jit.simd import load, scratch, store
+from raystream.structures.boxes import copy_box
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.split import LEAF
-from raystream.structures.kdtree.subtree import copy_box, room_above, split_reference
+from raystream.structures.kdtree.subtree import room_above, split_reference
 
 _NODE = np.uint64(8)
 _TRIANGLE = np.uint64(36)
