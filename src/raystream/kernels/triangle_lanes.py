@@ -103,6 +103,44 @@ def slab_interval(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
 
 
 @device
+def planes_along(low, high, back):
+    """The planes of boxes as rays of a direction meet them.
+
+    Parameters
+    ----------
+    low, high : tuple of three float32 vectors or numbers
+        Corners.
+    back : tuple of three bool
+        Whether the rays' directions are negative.
+
+    Returns
+    -------
+    tuple of six float32 vectors or numbers
+        Near x, y, z and far x, y, z planes.
+    """
+    return (
+        select(back[0], high[0], low[0]),
+        select(back[1], high[1], low[1]),
+        select(back[2], high[2], low[2]),
+        select(back[0], low[0], high[0]),
+        select(back[1], low[1], high[1]),
+        select(back[2], low[2], high[2]),
+    )
+
+
+@device
+def boxes_interval(ray, low, high):
+    """Padded slab interval of boxes for one `kernels.ray.Ray`; `low` and `high` are corners."""
+    back = ray.inv_x < ZERO_F32, ray.inv_y < ZERO_F32, ray.inv_z < ZERO_F32
+    return slab_interval(
+        *planes_along(low, high, back),
+        (ray.inv_x, ray.inv_y, ray.inv_z),
+        (ray.near_x, ray.near_y, ray.near_z),
+        (ray.far_x, ray.far_y, ray.far_z),
+    )
+
+
+@device
 def plane_distance(a, b, c, o, d):
     """Distance to the triangles' planes; see step 3 of `kernels.triangle.intersect`.
 
