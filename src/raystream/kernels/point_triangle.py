@@ -26,24 +26,24 @@ _QUARTER = np.float64(0.25)
 _HALF = np.float64(0.5)
 
 
-class _Features(NamedTuple):
+class Features(NamedTuple):
     """Squared distances to the features of a triangle; inf for those that are not projected onto.
 
     Attributes
     ----------
+    squared : float64
+        The least of them: the triangle's distance. NaN where a corner is NaN.
     vertices, edges : triple of float64
         Of a, b, c; and of ab, bc, ca without their ends.
-    face : float64
-        Without its edges.
     along : triple of float64
         Places on the edges, from -1 at their first to 1 at their second end.
     weights : triple of float64
         Areas opposite to a, b, c, to a common scale.
     """
 
+    squared: object
     vertices: tuple[object, object, object]
     edges: tuple[object, object, object]
-    face: object
     along: tuple[object, object, object]
     weights: tuple[object, object, object]
 
@@ -54,7 +54,7 @@ class Foot(NamedTuple):
     Attributes
     ----------
     squared : float64
-        Squared distance, as `squared_distance` has it.
+        Squared distance, see `Features`.
     x, y, z : float64
     u, v : float64
         Weights of vertices 1 and 2.
@@ -129,7 +129,20 @@ def _edge(to_p, to_q, edge):
 
 
 @device
-def _features(point, a, b, c):
+def triangle_features(point, a, b, c):
+    """How far a point is from a triangle, or from several side by side, and from its features.
+
+    Parameters
+    ----------
+    point : triple of float64
+    a, b, c : triple of float64, or of float64 vectors
+        The corners.
+
+    Returns
+    -------
+    Features
+        Of numbers, or vectors.
+    """
     to_a, to_b, to_c = _difference(point, a), _difference(point, b), _difference(point, c)
     ab, bc, ca = _difference(b, a), _difference(c, b), _difference(a, c)
     at_a, at_b, at_c = _dot(to_a, to_a), _dot(to_b, to_b), _dot(to_c, to_c)
@@ -152,48 +165,11 @@ def _features(point, a, b, c):
     of_a, of_b, of_c = _dot(bc, from_b), _dot(ca, from_a), _dot(ab, from_a)
     is_inside = (of_a > ZERO_F64) & (of_b > ZERO_F64) & (of_c > ZERO_F64)
     face = select(is_inside, height * height / _dot(normal, normal), INF_F64)
-    return _Features(
-        (at_a, at_b, at_c),
-        (on_ab, on_bc, on_ca),
-        face,
-        (along_ab, along_bc, along_ca),
-        (of_a, of_b, of_c),
-    )
-
-
-@device
-def squared_distance(point, a, b, c):
-    """Squared distance from a point to a triangle, or to several side by side.
-
-    Parameters
-    ----------
-    point : triple of float64
-    a, b, c : triple of float64, or of float64 vectors
-        The corners.
-
-    Returns
-    -------
-    float64, or float64 vector
-        NaN where a corner is NaN.
-    """
-    at, on, face, _, _ = _features(point, a, b, c)
-    nearest = minimum(face, minimum(on[0], minimum(on[1], on[2])))
+    nearest = minimum(face, minimum(on_ab, minimum(on_bc, on_ca)))
     # In this order a triangle with a NaN has NaN.
-    return minimum(nearest, minimum(at[0], minimum(at[1], at[2])))
-
-
-@device
-def _at(a, b, c, weights, squared):
-    """The foot with these weights of a, b and c."""
-    of_a, of_b, of_c = weights
-    return Foot(
-        squared,
-        of_a * a[0] + of_b * b[0] + of_c * c[0],
-        of_a * a[1] + of_b * b[1] + of_c * c[1],
-        of_a * a[2] + of_b * b[2] + of_c * c[2],
-        of_b,
-        of_c,
-    )
+    squared = minimum(nearest, minimum(at_a, minimum(at_b, at_c)))
+    edges, along = (on_ab, on_bc, on_ca), (along_ab, along_bc, along_ca)
+    return Features(squared, (at_a, at_b, at_c), edges, along, (of_a, of_b, of_c))
 
 
 @device
@@ -203,34 +179,46 @@ def _between(along):
 
 
 @device
-def foot_on_triangle(point, a, b, c):
-    """The point of a triangle nearest to another point.
+def _nearest_weights(features):
+    """The weights of a, b and c at the nearest point: of the first of the nearest features."""
+    least, at, on = features.squared, features.vertices, features.edges
+    if at[0] == least:
+        return ONE_F64, ZERO_F64, ZERO_F64
+    if at[1] == least:
+        return ZERO_F64, ONE_F64, ZERO_F64
+    if at[2] == least:
+        return ZERO_F64, ZERO_F64, ONE_F64
+    if on[0] == least:
+        p, q = _between(features.along[0])
+        return p, q, ZERO_F64
+    if on[1] == least:
+        p, q = _between(features.along[1])
+        return ZERO_F64, p, q
+    if on[2] == least:
+        p, q = _between(features.along[2])
+        return q, ZERO_F64, p
+    areas = features.weights
+    total = areas[0] + areas[1] + areas[2]
+    return areas[0] / total, areas[1] / total, areas[2] / total
+
+
+@device
+def foot_of(features, a, b, c):
+    """The nearest point of a triangle, of its features and its corners.
 
     Parameters
     ----------
-    point, a, b, c : triple of float64
+    features : Features
+        Of numbers.
+    a, b, c : triple of float64
 
     Returns
     -------
     Foot
         Exactly a vertex, or with a weight of exactly 0 on an edge, where that is nearest.
     """
-    at, on, _, along, areas = _features(point, a, b, c)
-    least = squared_distance(point, a, b, c)
-    if at[0] == least:
-        return _at(a, b, c, (ONE_F64, ZERO_F64, ZERO_F64), least)
-    if at[1] == least:
-        return _at(a, b, c, (ZERO_F64, ONE_F64, ZERO_F64), least)
-    if at[2] == least:
-        return _at(a, b, c, (ZERO_F64, ZERO_F64, ONE_F64), least)
-    if on[0] == least:
-        p, q = _between(along[0])
-        return _at(a, b, c, (p, q, ZERO_F64), least)
-    if on[1] == least:
-        p, q = _between(along[1])
-        return _at(a, b, c, (ZERO_F64, p, q), least)
-    if on[2] == least:
-        p, q = _between(along[2])
-        return _at(a, b, c, (q, ZERO_F64, p), least)
-    total = areas[0] + areas[1] + areas[2]
-    return _at(a, b, c, (areas[0] / total, areas[1] / total, areas[2] / total), least)
+    of_a, of_b, of_c = _nearest_weights(features)
+    x = of_a * a[0] + of_b * b[0] + of_c * c[0]
+    y = of_a * a[1] + of_b * b[1] + of_c * c[1]
+    z = of_a * a[2] + of_b * b[2] + of_c * c[2]
+    return Foot(features.squared, x, y, z, of_b, of_c)
