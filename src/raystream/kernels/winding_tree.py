@@ -31,6 +31,7 @@ from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, all_lanes, f64x8, load, scratch, square_root, store
 from raystream.jit.threads import parallel_for
+from raystream.kernels.morton import spread_numbers
 from raystream.kernels.point_order import order_points
 from raystream.kernels.winding import LANES, add_triangle, dot
 
@@ -109,16 +110,7 @@ def _morton_order(corners: NDArray[np.float32]) -> NDArray[np.int64]:
     cells = ((centers - low) * ((2**_KEY_BITS - 1) / size)).astype(np.uint64)
     keys = np.zeros(len(cells), np.uint64)
     for axis in range(3):
-        bits = cells[:, axis]
-        for shift, mask in (
-            (32, 0x1F00000000FFFF),
-            (16, 0x1F0000FF0000FF),
-            (8, 0x100F00F00F00F00F),
-            (4, 0x10C30C30C30C30C3),
-            (2, 0x1249249249249249),
-        ):
-            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
-        keys |= bits << np.uint64(axis)
+        keys |= spread_numbers(cells[:, axis]) << np.uint64(axis)
     return np.argsort(keys, kind="stable")
 
 
