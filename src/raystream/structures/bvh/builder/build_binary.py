@@ -177,31 +177,18 @@ class _Grower:
     def _split_middle(self, level: list[_Range], ranges: list[_Range]) -> None:
         """Split ranges until all are small, one thread each; append the parts to `ranges`."""
         while level := [part for part in level if part.size > self.subtree_size]:
-            bounds = np.empty((len(level), 2, 2, REF_FLOATS), np.float32)
-            middles = np.zeros(len(level), np.int64)
-            self._split_each(level, bounds, middles)
-            level = [
-                part
-                for i, whole in enumerate(level)
-                for part in whole.split(int(middles[i]), bounds[i], whole.refs)
-            ]
+
+            def body(begin: int, end: int, level: list[_Range] = level) -> None:
+                for part in level[begin:end] or [self._nothing()]:
+                    bounds = np.empty((2, 2, REF_FLOATS), np.float32)
+                    use_sides = part.depth < self.settings.sah_depth
+                    span = part.begin, part.end
+                    middle = split_once(part.refs, *span, use_sides, part.bounds, bounds)
+                    part.split(int(middle), bounds, part.refs)
+
+            parallel_for(body, len(level), 1)
+            level = [part for whole in level for part in whole.parts or ()]
             ranges += level
-
-    def _split_each(
-        self, level: list[_Range], bounds: NDArray[np.float32], middles: NDArray[np.int64]
-    ) -> None:
-        def split(part: _Range, bounds: NDArray[np.float32]) -> int:
-            use_sides = part.depth < self.settings.sah_depth
-            span = part.begin, part.end
-            return int(split_once(part.refs, *span, use_sides, part.bounds, bounds))
-
-        def body(begin: int, end: int) -> None:
-            if begin == end:
-                split(self._nothing(), bounds[0])
-            for i in range(begin, end):
-                middles[i] = split(level[i], bounds[i])
-
-        parallel_for(body, len(level), 1)
 
     def _nothing(self) -> _Range:
         """An empty range, for calls that only compile."""
