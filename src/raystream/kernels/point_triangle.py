@@ -21,6 +21,7 @@ import numpy as np
 from raystream.jit.constants import INF_F64, ONE_F64, ZERO_F64
 from raystream.jit.cpu import device
 from raystream.jit.simd import absolute, fma, minimum, select
+from raystream.kernels.vectors import cross, dot, minus
 
 _QUARTER = np.float64(0.25)
 _HALF = np.float64(0.5)
@@ -69,21 +70,6 @@ class Foot(NamedTuple):
 
 
 @device
-def _difference(p, q):
-    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
-
-
-@device
-def _dot(p, q):
-    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-
-
-@device
-def _cross(p, q):
-    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
-
-
-@device
 def _products(a, b, c, d):
     """``a * b - c * d``, within two roundings of itself however the products cancel.
 
@@ -122,10 +108,10 @@ def _edge(to_p, to_q, edge):
     no more than signs.
     """
     twice = to_p[0] + to_q[0], to_p[1] + to_q[1], to_p[2] + to_q[2]
-    product, length = _dot(twice, edge), _dot(edge, edge)
+    product, length = dot(twice, edge), dot(edge, edge)
     along = product / length
     off = twice[0] - along * edge[0], twice[1] - along * edge[1], twice[2] - along * edge[2]
-    return select(absolute(product) < length, _QUARTER * _dot(off, off), INF_F64), along
+    return select(absolute(product) < length, _QUARTER * dot(off, off), INF_F64), along
 
 
 @device
@@ -143,9 +129,9 @@ def triangle_features(point, a, b, c):
     Features
         Of numbers, or vectors.
     """
-    to_a, to_b, to_c = _difference(point, a), _difference(point, b), _difference(point, c)
-    ab, bc, ca = _difference(b, a), _difference(c, b), _difference(a, c)
-    at_a, at_b, at_c = _dot(to_a, to_a), _dot(to_b, to_b), _dot(to_c, to_c)
+    to_a, to_b, to_c = minus(point, a), minus(point, b), minus(point, c)
+    ab, bc, ca = minus(b, a), minus(c, b), minus(a, c)
+    at_a, at_b, at_c = dot(to_a, to_a), dot(to_b, to_b), dot(to_c, to_c)
     on_ab, along_ab = _edge(to_a, to_b, ab)
     on_bc, along_bc = _edge(to_b, to_c, bc)
     on_ca, along_ca = _edge(to_c, to_a, ca)
@@ -153,7 +139,7 @@ def triangle_features(point, a, b, c):
     normal = _normal(ca, ab)
     b_is_nearer = at_b < at_a
     c_is_nearest = at_c < minimum(at_a, at_b)
-    height = _dot(
+    height = dot(
         normal,
         (
             select(c_is_nearest, to_c[0], select(b_is_nearer, to_b[0], to_a[0])),
@@ -161,10 +147,10 @@ def triangle_features(point, a, b, c):
             select(c_is_nearest, to_c[2], select(b_is_nearer, to_b[2], to_a[2])),
         ),
     )
-    from_a, from_b = _cross(to_a, normal), _cross(to_b, normal)
-    of_a, of_b, of_c = _dot(bc, from_b), _dot(ca, from_a), _dot(ab, from_a)
+    from_a, from_b = cross(to_a, normal), cross(to_b, normal)
+    of_a, of_b, of_c = dot(bc, from_b), dot(ca, from_a), dot(ab, from_a)
     is_inside = (of_a > ZERO_F64) & (of_b > ZERO_F64) & (of_c > ZERO_F64)
-    face = select(is_inside, height * height / _dot(normal, normal), INF_F64)
+    face = select(is_inside, height * height / dot(normal, normal), INF_F64)
     nearest = minimum(face, minimum(on_ab, minimum(on_bc, on_ca)))
     # In this order a triangle with a NaN has NaN.
     squared = minimum(nearest, minimum(at_a, minimum(at_b, at_c)))

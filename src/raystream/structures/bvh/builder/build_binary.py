@@ -133,7 +133,7 @@ class _Grower:
         collapse_top(
             np.array([[p.row for p in part.parts or ()] or [-1, -1] for part in ranges], np.int32),
             np.array([part.node for part in ranges], np.int32),
-            np.array([[part.begin, part.size] for part in ranges], np.int32),
+            np.array([[part.begin, part.end] for part in ranges], np.int32),
             np.array([part.bounds[0] for part in ranges]),
             costs,
             self.tree,
