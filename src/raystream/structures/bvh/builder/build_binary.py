@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, chunk_size, parallel_for
+from raystream.jit.threads import Progress, chunk_size, parallel_for, part_of
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.builder.binary_tree import LINK_INTS, BinaryTree, BuildSettings
 from raystream.structures.bvh.builder.collapse import COST_FLOATS, collapse_top
@@ -217,8 +217,5 @@ class _Grower:
                 grow(part, scratch)
             free.append(scratch)
 
-        def report(done: int, total: int) -> None:
-            if progress:
-                progress(self.count * done // total, self.count)
-
-        parallel_for(body, len(subtrees), 1, report)
+        whole = self.count
+        parallel_for(body, len(subtrees), 1, part_of(progress, 0, whole, whole))
