@@ -30,12 +30,19 @@ def chunk_size(count: int, most: int) -> int:
     return min(max(count >> 3, 1 << 12), most)
 
 
-def part_of(progress: Progress | None, first: int, total: int) -> Progress | None:
-    """Progress callback of one of several loops, which begins after `first` of `total` steps."""
+def part_of(
+    progress: Progress | None, first: int, total: int, count: int | None = None
+) -> Progress | None:
+    """Progress callback of one of several loops, which begins after `first` of `total` steps.
+
+    The loop is `count` of these, whatever its own number of steps [default: its own number].
+    """
     if progress is None:
         return None
     whole = progress
-    return lambda done, _: whole(first + done, total)
+    if count is None:
+        return lambda done, _: whole(first + done, total)
+    return lambda done, steps: whole(first + count * done // max(steps, 1), total)
 
 
 def rising(progress: Progress | None) -> Progress | None:

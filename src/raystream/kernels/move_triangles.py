@@ -19,6 +19,7 @@ from raystream.core.triangles import (
 )
 from raystream.jit.cpu import device, kernel
 from raystream.jit.threads import chunk_size, parallel_for
+from raystream.kernels.vectors import corner_of, cross, minus
 
 #: Local coordinates beyond this need a new frame: their float32 products would overflow.
 MAX_LOCAL = 2.0**40
@@ -193,13 +194,11 @@ def _move(begin, end, frame, vertices, faces, corners, kinds, bounds, reaches):
                 south, north = min(south, np.float64(y)), max(north, np.float64(y))
                 down, up = min(down, np.float64(z)), max(up, np.float64(z))
         if kind == _SOLID:
-            ax, ay, az = corners[i, 0, 0], corners[i, 0, 1], corners[i, 0, 2]
-            bx, by, bz = corners[i, 1, 0], corners[i, 1, 1], corners[i, 1, 2]
-            cx, cy, cz = corners[i, 2, 0], corners[i, 2, 1], corners[i, 2, 2]
-            if _has_area(ax, ay, az, bx, by, bz, cx, cy, cz):
-                low_x, high_x = min(low_x, ax, bx, cx), max(high_x, ax, bx, cx)
-                low_y, high_y = min(low_y, ay, by, cy), max(high_y, ay, by, cy)
-                low_z, high_z = min(low_z, az, bz, cz), max(high_z, az, bz, cz)
+            a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+            if _has_area(corners, i):
+                low_x, high_x = min(low_x, a[0], b[0], c[0]), max(high_x, a[0], b[0], c[0])
+                low_y, high_y = min(low_y, a[1], b[1], c[1]), max(high_y, a[1], b[1], c[1])
+                low_z, high_z = min(low_z, a[2], b[2], c[2]), max(high_z, a[2], b[2], c[2])
             else:
                 kind = _DEGENERATE
         kinds[i] = kind
@@ -211,12 +210,8 @@ def _move(begin, end, frame, vertices, faces, corners, kinds, bounds, reaches):
 
 
 @device
-def _has_area(ax, ay, az, bx, by, bz, cx, cy, cz):
+def _has_area(corners, i):
     """Whether the corners are not collinear: as in `core.triangles`, bit for bit."""
-    x1 = np.float64(bx) - np.float64(ax)
-    y1 = np.float64(by) - np.float64(ay)
-    z1 = np.float64(bz) - np.float64(az)
-    x2 = np.float64(cx) - np.float64(ax)
-    y2 = np.float64(cy) - np.float64(ay)
-    z2 = np.float64(cz) - np.float64(az)
-    return y1 * z2 - z1 * y2 != 0.0 or z1 * x2 - x1 * z2 != 0.0 or x1 * y2 - y1 * x2 != 0.0
+    a = corner_of(corners, i, 0)
+    x, y, z = cross(minus(corner_of(corners, i, 1), a), minus(corner_of(corners, i, 2), a))
+    return x != 0.0 or y != 0.0 or z != 0.0

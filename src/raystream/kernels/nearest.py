@@ -10,7 +10,7 @@ from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.jit.views import view
-from raystream.kernels.point_triangle import squared_distance
+from raystream.kernels.point_triangle import triangle_features
 
 #: A triangle that was found: its squared distance, prim_id, and where its corners are: address
 #: of the first number, and bytes from a number to the next.
@@ -119,6 +119,16 @@ def corners_at(place, stride):
 
 
 @device
+def offer_triangle(search, point, prim_id, place, stride):
+    """Offer a triangle, see `ROW`, to the search of a point; returns the search."""
+    a, b, c = corners_at(place, stride)
+    squared = triangle_features(point, a, b, c).squared
+    if is_wanted(search, squared, prim_id):
+        search = offer_nearest(search, squared, prim_id, place, stride)
+    return search
+
+
+@device
 def offer_again(search, point, others, count):
     """Offer the triangles of rows that another search found: a good limit from the start.
 
@@ -136,8 +146,5 @@ def offer_again(search, point, others, count):
     """
     for k in range(count):
         row = NearestRow(others, k)
-        a, b, c = corners_at(row.place, row.stride)
-        squared = squared_distance(point, a, b, c)
-        if is_wanted(search, squared, row.prim_id):
-            search = offer_nearest(search, squared, row.prim_id, row.place, row.stride)
+        search = offer_triangle(search, point, row.prim_id, row.place, row.stride)
     return search

@@ -13,6 +13,7 @@ import numpy as np
 from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
+from raystream.kernels.morton import spread_bits
 
 #: Bits of a key along each axis; two passes sort 22 bits.
 _SIDE_BITS = 7
@@ -70,15 +71,6 @@ def point_at(order, i):
     count, number = order.end - order.first, i - order.first
     at = order.memory + ((count + count + number) << SHIFT_32)
     return order.first + np.uint64(load(np.uint32, at))
-
-
-@device
-def _spread(cell):
-    """Move bit i of a number below 1024 to bit 3 i."""
-    cell = (cell | (cell << np.uint64(16))) & np.uint64(0x030000FF)
-    cell = (cell | (cell << np.uint64(8))) & np.uint64(0x0300F00F)
-    cell = (cell | (cell << np.uint64(4))) & np.uint64(0x030C30C3)
-    return (cell | (cell << np.uint64(2))) & np.uint64(0x09249249)
 
 
 @device
@@ -148,9 +140,9 @@ def order_points(points, begin, end, words):
     for k in range(count):
         x, y, z = load_point(points, begin + k)
         key = (
-            _spread(_cell(x, low[0], scale))
-            | (_spread(_cell(y, low[1], scale)) << ONE_U64)
-            | (_spread(_cell(z, low[2], scale)) << (ONE_U64 + ONE_U64))
+            spread_bits(_cell(x, low[0], scale))
+            | (spread_bits(_cell(y, low[1], scale)) << ONE_U64)
+            | (spread_bits(_cell(z, low[2], scale)) << (ONE_U64 + ONE_U64))
         )
         store(keys + (k << SHIFT_32), np.uint32(key))
         _count(places, key & _DIGIT_MASK)

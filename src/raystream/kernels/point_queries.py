@@ -25,7 +25,7 @@ from raystream.kernels.nearest import (
     offer_again,
 )
 from raystream.kernels.point_order import PointOrder, begin_order, load_point, order_bytes, point_at
-from raystream.kernels.point_triangle import foot_on_triangle
+from raystream.kernels.point_triangle import foot_of, triangle_features
 from raystream.kernels.ray import SceneFrame
 
 _FLOAT, _DOUBLE, _VECTOR = np.uint64(4), np.uint64(8), np.uint64(24)  # bytes
@@ -291,7 +291,7 @@ def _write_found(out, row, found, query, least, frame):
         The distance.
     """
     a, b, c = corners_at(found.place, found.stride)
-    foot = foot_on_triangle(query.moved, a, b, c)
+    foot = foot_of(triangle_features(query.moved, a, b, c), a, b, c)
     distance = math.sqrt(foot.squared) * frame.inverse_scale
     if query.is_moved:
         distance = _length(query.point, (foot.x, foot.y, foot.z)) * frame.inverse_scale

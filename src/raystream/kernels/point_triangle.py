@@ -21,29 +21,30 @@ import numpy as np
 from raystream.jit.constants import INF_F64, ONE_F64, ZERO_F64
 from raystream.jit.cpu import device
 from raystream.jit.simd import absolute, fma, minimum, select
+from raystream.kernels.vectors import cross, dot, minus
 
 _QUARTER = np.float64(0.25)
 _HALF = np.float64(0.5)
 
 
-class _Features(NamedTuple):
+class Features(NamedTuple):
     """Squared distances to the features of a triangle; inf for those that are not projected onto.
 
     Attributes
     ----------
+    squared : float64
+        The least of them: the triangle's distance. NaN where a corner is NaN.
     vertices, edges : triple of float64
         Of a, b, c; and of ab, bc, ca without their ends.
-    face : float64
-        Without its edges.
     along : triple of float64
         Places on the edges, from -1 at their first to 1 at their second end.
     weights : triple of float64
         Areas opposite to a, b, c, to a common scale.
     """
 
+    squared: object
     vertices: tuple[object, object, object]
     edges: tuple[object, object, object]
-    face: object
     along: tuple[object, object, object]
     weights: tuple[object, object, object]
 
@@ -54,7 +55,7 @@ class Foot(NamedTuple):
     Attributes
     ----------
     squared : float64
-        Squared distance, as `squared_distance` has it.
+        Squared distance, see `Features`.
     x, y, z : float64
     u, v : float64
         Weights of vertices 1 and 2.
@@ -66,21 +67,6 @@ class Foot(NamedTuple):
     z: float
     u: float
     v: float
-
-
-@device
-def _difference(p, q):
-    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
-
-
-@device
-def _dot(p, q):
-    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-
-
-@device
-def _cross(p, q):
-    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
 
 @device
@@ -122,48 +108,15 @@ def _edge(to_p, to_q, edge):
     no more than signs.
     """
     twice = to_p[0] + to_q[0], to_p[1] + to_q[1], to_p[2] + to_q[2]
-    product, length = _dot(twice, edge), _dot(edge, edge)
+    product, length = dot(twice, edge), dot(edge, edge)
     along = product / length
     off = twice[0] - along * edge[0], twice[1] - along * edge[1], twice[2] - along * edge[2]
-    return select(absolute(product) < length, _QUARTER * _dot(off, off), INF_F64), along
+    return select(absolute(product) < length, _QUARTER * dot(off, off), INF_F64), along
 
 
 @device
-def _features(point, a, b, c):
-    to_a, to_b, to_c = _difference(point, a), _difference(point, b), _difference(point, c)
-    ab, bc, ca = _difference(b, a), _difference(c, b), _difference(a, c)
-    at_a, at_b, at_c = _dot(to_a, to_a), _dot(to_b, to_b), _dot(to_c, to_c)
-    on_ab, along_ab = _edge(to_a, to_b, ab)
-    on_bc, along_bc = _edge(to_b, to_c, bc)
-    on_ca, along_ca = _edge(to_c, to_a, ca)
-    # The plane is measured from the nearest vertex, the one with the least rounding.
-    normal = _normal(ca, ab)
-    b_is_nearer = at_b < at_a
-    c_is_nearest = at_c < minimum(at_a, at_b)
-    height = _dot(
-        normal,
-        (
-            select(c_is_nearest, to_c[0], select(b_is_nearer, to_b[0], to_a[0])),
-            select(c_is_nearest, to_c[1], select(b_is_nearer, to_b[1], to_a[1])),
-            select(c_is_nearest, to_c[2], select(b_is_nearer, to_b[2], to_a[2])),
-        ),
-    )
-    from_a, from_b = _cross(to_a, normal), _cross(to_b, normal)
-    of_a, of_b, of_c = _dot(bc, from_b), _dot(ca, from_a), _dot(ab, from_a)
-    is_inside = (of_a > ZERO_F64) & (of_b > ZERO_F64) & (of_c > ZERO_F64)
-    face = select(is_inside, height * height / _dot(normal, normal), INF_F64)
-    return _Features(
-        (at_a, at_b, at_c),
-        (on_ab, on_bc, on_ca),
-        face,
-        (along_ab, along_bc, along_ca),
-        (of_a, of_b, of_c),
-    )
-
-
-@device
-def squared_distance(point, a, b, c):
-    """Squared distance from a point to a triangle, or to several side by side.
+def triangle_features(point, a, b, c):
+    """How far a point is from a triangle, or from several side by side, and from its features.
 
     Parameters
     ----------
@@ -173,27 +126,36 @@ def squared_distance(point, a, b, c):
 
     Returns
     -------
-    float64, or float64 vector
-        NaN where a corner is NaN.
+    Features
+        Of numbers, or vectors.
     """
-    at, on, face, _, _ = _features(point, a, b, c)
-    nearest = minimum(face, minimum(on[0], minimum(on[1], on[2])))
-    # In this order a triangle with a NaN has NaN.
-    return minimum(nearest, minimum(at[0], minimum(at[1], at[2])))
-
-
-@device
-def _at(a, b, c, weights, squared):
-    """The foot with these weights of a, b and c."""
-    of_a, of_b, of_c = weights
-    return Foot(
-        squared,
-        of_a * a[0] + of_b * b[0] + of_c * c[0],
-        of_a * a[1] + of_b * b[1] + of_c * c[1],
-        of_a * a[2] + of_b * b[2] + of_c * c[2],
-        of_b,
-        of_c,
+    to_a, to_b, to_c = minus(point, a), minus(point, b), minus(point, c)
+    ab, bc, ca = minus(b, a), minus(c, b), minus(a, c)
+    at_a, at_b, at_c = dot(to_a, to_a), dot(to_b, to_b), dot(to_c, to_c)
+    on_ab, along_ab = _edge(to_a, to_b, ab)
+    on_bc, along_bc = _edge(to_b, to_c, bc)
+    on_ca, along_ca = _edge(to_c, to_a, ca)
+    # The plane is measured from the nearest vertex, the one with the least rounding.
+    normal = _normal(ca, ab)
+    b_is_nearer = at_b < at_a
+    c_is_nearest = at_c < minimum(at_a, at_b)
+    height = dot(
+        normal,
+        (
+            select(c_is_nearest, to_c[0], select(b_is_nearer, to_b[0], to_a[0])),
+            select(c_is_nearest, to_c[1], select(b_is_nearer, to_b[1], to_a[1])),
+            select(c_is_nearest, to_c[2], select(b_is_nearer, to_b[2], to_a[2])),
+        ),
     )
+    from_a, from_b = cross(to_a, normal), cross(to_b, normal)
+    of_a, of_b, of_c = dot(bc, from_b), dot(ca, from_a), dot(ab, from_a)
+    is_inside = (of_a > ZERO_F64) & (of_b > ZERO_F64) & (of_c > ZERO_F64)
+    face = select(is_inside, height * height / dot(normal, normal), INF_F64)
+    nearest = minimum(face, minimum(on_ab, minimum(on_bc, on_ca)))
+    # In this order a triangle with a NaN has NaN.
+    squared = minimum(nearest, minimum(at_a, minimum(at_b, at_c)))
+    edges, along = (on_ab, on_bc, on_ca), (along_ab, along_bc, along_ca)
+    return Features(squared, (at_a, at_b, at_c), edges, along, (of_a, of_b, of_c))
 
 
 @device
@@ -203,34 +165,46 @@ def _between(along):
 
 
 @device
-def foot_on_triangle(point, a, b, c):
-    """The point of a triangle nearest to another point.
+def _nearest_weights(features):
+    """The weights of a, b and c at the nearest point: of the first of the nearest features."""
+    least, at, on = features.squared, features.vertices, features.edges
+    if at[0] == least:
+        return ONE_F64, ZERO_F64, ZERO_F64
+    if at[1] == least:
+        return ZERO_F64, ONE_F64, ZERO_F64
+    if at[2] == least:
+        return ZERO_F64, ZERO_F64, ONE_F64
+    if on[0] == least:
+        p, q = _between(features.along[0])
+        return p, q, ZERO_F64
+    if on[1] == least:
+        p, q = _between(features.along[1])
+        return ZERO_F64, p, q
+    if on[2] == least:
+        p, q = _between(features.along[2])
+        return q, ZERO_F64, p
+    areas = features.weights
+    total = areas[0] + areas[1] + areas[2]
+    return areas[0] / total, areas[1] / total, areas[2] / total
+
+
+@device
+def foot_of(features, a, b, c):
+    """The nearest point of a triangle, of its features and its corners.
 
     Parameters
     ----------
-    point, a, b, c : triple of float64
+    features : Features
+        Of numbers.
+    a, b, c : triple of float64
 
     Returns
     -------
     Foot
         Exactly a vertex, or with a weight of exactly 0 on an edge, where that is nearest.
     """
-    at, on, _, along, areas = _features(point, a, b, c)
-    least = squared_distance(point, a, b, c)
-    if at[0] == least:
-        return _at(a, b, c, (ONE_F64, ZERO_F64, ZERO_F64), least)
-    if at[1] == least:
-        return _at(a, b, c, (ZERO_F64, ONE_F64, ZERO_F64), least)
-    if at[2] == least:
-        return _at(a, b, c, (ZERO_F64, ZERO_F64, ONE_F64), least)
-    if on[0] == least:
-        p, q = _between(along[0])
-        return _at(a, b, c, (p, q, ZERO_F64), least)
-    if on[1] == least:
-        p, q = _between(along[1])
-        return _at(a, b, c, (ZERO_F64, p, q), least)
-    if on[2] == least:
-        p, q = _between(along[2])
-        return _at(a, b, c, (q, ZERO_F64, p), least)
-    total = areas[0] + areas[1] + areas[2]
-    return _at(a, b, c, (areas[0] / total, areas[1] / total, areas[2] / total), least)
+    of_a, of_b, of_c = _nearest_weights(features)
+    x = of_a * a[0] + of_b * b[0] + of_c * c[0]
+    y = of_a * a[1] + of_b * b[1] + of_c * c[1]
+    z = of_a * a[2] + of_b * b[2] + of_c * c[2]
+    return Foot(features.squared, x, y, z, of_b, of_c)

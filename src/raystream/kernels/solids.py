@@ -12,6 +12,7 @@ from raystream.core.triangles import Triangles
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import float_as_bits
 from raystream.jit.threads import parallel_for
+from raystream.kernels.vectors import corner_of, cross, dot
 
 #: Triangles per call of the kernel: some milliseconds.
 _CHUNK = 1 << 16
@@ -184,15 +185,14 @@ def _hash_and_measure(begin, end, corners, prim_ids, edges, volumes):
         Written: six times the signed volume between the triangle and the local origin.
     """
     for i in range(np.uint64(begin), np.uint64(end)):
-        a, b, c = corners[prim_ids[i], 0], corners[prim_ids[i], 1], corners[prim_ids[i], 2]
+        prim_id = prim_ids[i]
+        a, b = corner_of(corners, prim_id, 0), corner_of(corners, prim_id, 1)
+        c = corner_of(corners, prim_id, 2)
         hash_a, hash_b, hash_c = _hash_point(a), _hash_point(b), _hash_point(c)
         edges[i] = (
             _hash_edge(hash_a, hash_b) + _hash_edge(hash_b, hash_c) + _hash_edge(hash_c, hash_a)
         )
-        ax, ay, az = np.float64(a[0]), np.float64(a[1]), np.float64(a[2])
-        bx, by, bz = np.float64(b[0]), np.float64(b[1]), np.float64(b[2])
-        cx, cy, cz = np.float64(c[0]), np.float64(c[1]), np.float64(c[2])
-        volumes[i] = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        volumes[i] = dot(a, cross(b, c))
 
 
 @device
@@ -206,8 +206,7 @@ def _mix(bits):
 def _hash_point(point):
     bits = _STEP
     for axis in range(3):
-        # Adding zero turns -0 into 0, the same position.
-        number = np.float64(point[axis]) + 0.0
+        number = point[axis] + 0.0  # turns -0 into 0, the same position
         bits = _mix(bits + _STEP + np.uint64(float_as_bits(number)))
     return bits
 

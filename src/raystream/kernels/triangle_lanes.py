@@ -1,8 +1,8 @@
-"""The triangle test of `kernels.triangle` in SIMD lanes: triangles of a ray, or rays of a packet.
+"""The steps of the triangle test: numbers, triangles of a ray side by side, or rays of a packet.
 
-Each function takes vectors of any width, or scalars for all lanes, and does the operations of the
-scalar test in the same order, so the bits are the same. See there for why it is watertight;
-nothing here may be fused or reordered.
+Each function takes vectors of any width, or numbers, and does the same operations in the same
+order, so the bits are the same. See `kernels.triangle` for why the test is watertight; nothing here
+may be fused or reordered.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from raystream.jit.constants import ZERO_F32, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import any_lane, fma, maximum, minimum, narrow, select, widen
+from raystream.jit.simd import any_lane, as_float32, fma, maximum, minimum, select, widen
 
 
 class ShearedVertices(NamedTuple):
@@ -21,7 +21,7 @@ class ShearedVertices(NamedTuple):
 
     Attributes
     ----------
-    ax, ay, az, bx, by, bz, cx, cy, cz : float32 vector
+    ax, ay, az, bx, by, bz, cx, cy, cz : float32 vector or number
     """
 
     ax: object
@@ -62,12 +62,13 @@ def shear_vertices(a, b, c, origin, shear):
 
 @device
 def _edge(ax, ay, bx, by):
+    """Twice the signed area of the triangle (origin, b, a), in the frame's x and y."""
     return ax * by - ay * bx
 
 
 @device
 def signs_agree(sheared):
-    """Mask of the lanes whose edge functions may have one sign; NaN is culled."""
+    """Mask of the lanes, or bool, whose edge functions may have one sign; NaN is culled."""
     U = _edge(sheared.cx, sheared.cy, sheared.bx, sheared.by)
     V = _edge(sheared.ax, sheared.ay, sheared.cx, sheared.cy)
     W = _edge(sheared.bx, sheared.by, sheared.ax, sheared.ay)
@@ -103,8 +104,49 @@ def slab_interval(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
 
 
 @device
+def planes_along(low, high, back):
+    """The planes of boxes as rays of a direction meet them.
+
+    Parameters
+    ----------
+    low, high : tuple of three float32 vectors or numbers
+        Corners.
+    back : tuple of three bool
+        Whether the rays' directions are negative.
+
+    Returns
+    -------
+    tuple of six float32 vectors or numbers
+        Near x, y, z and far x, y, z planes.
+    """
+    return (
+        select(back[0], high[0], low[0]),
+        select(back[1], high[1], low[1]),
+        select(back[2], high[2], low[2]),
+        select(back[0], low[0], high[0]),
+        select(back[1], low[1], high[1]),
+        select(back[2], low[2], high[2]),
+    )
+
+
+@device
+def boxes_interval(ray, low, high):
+    """Padded slab interval of boxes for one `kernels.ray.Ray`; `low` and `high` are corners."""
+    back = ray.inv_x < ZERO_F32, ray.inv_y < ZERO_F32, ray.inv_z < ZERO_F32
+    return slab_interval(
+        *planes_along(low, high, back),
+        (ray.inv_x, ray.inv_y, ray.inv_z),
+        (ray.near_x, ray.near_y, ray.near_z),
+        (ray.far_x, ray.far_y, ray.far_z),
+    )
+
+
+@device
 def plane_distance(a, b, c, o, d):
     """Distance to the triangles' planes; see step 3 of `kernels.triangle.intersect`.
+
+    The corners' images would do for small triangles. But they are rounded at the size of the
+    triangle: on a ground plane of many kilometres a distance of a metre would lose all digits.
 
     Parameters
     ----------
@@ -113,7 +155,7 @@ def plane_distance(a, b, c, o, d):
 
     Returns
     -------
-    float32 vector
+    float32 vector or number
         Not clamped; not finite for a triangle seen edge-on.
     """
     return distance_along(a, plane_normal(a, b, c), o, d)
@@ -152,16 +194,17 @@ def distance_along(a, n, o, d):
 
     Returns
     -------
-    float32 vector
+    float32 vector or number
     """
     ax, ay, az = widen(a[0]), widen(a[1]), widen(a[2])
     nx, ny, nz = n
     along = (ax - widen(o[0])) * nx + (ay - widen(o[1])) * ny + (az - widen(o[2])) * nz
-    return narrow(along / (widen(d[0]) * nx + widen(d[1]) * ny + widen(d[2]) * nz))
+    return as_float32(along / (widen(d[0]) * nx + widen(d[1]) * ny + widen(d[2]) * nz))
 
 
 @device
 def _top_left_sign(ax, ay, bx, by):
+    """Sign of a zero edge function once the ray moves by (e, e*e), e to 0: the top-left rule."""
     return select(ay == by, bx - ax, ay - by)
 
 
@@ -176,8 +219,8 @@ def barycentrics(sheared, surfaces):
 
     Returns
     -------
-    hit : mask
-    u, v : float32 vector
+    hit : mask or bool
+    u, v : float32 vector or number
     """
     ax, ay = widen(sheared.ax), widen(sheared.ay)
     bx, by = widen(sheared.bx), widen(sheared.by)
@@ -196,7 +239,7 @@ def barycentrics(sheared, surfaces):
         most = maximum(maximum(sign_u, sign_v), sign_w)
         hit = hit & ((least > ZERO_F64) | (most < ZERO_F64))
     scale = np.float64(1.0) / (U + V + W)
-    return hit, narrow(V * scale) + ZERO_F32, narrow(W * scale) + ZERO_F32
+    return hit, as_float32(V * scale) + ZERO_F32, as_float32(W * scale) + ZERO_F32
 
 
 @device

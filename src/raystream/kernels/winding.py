@@ -22,6 +22,7 @@ import numpy as np
 from raystream.jit.constants import ONE_U64, SHIFT_64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import absolute, f64x8, load, scratch, select, square_root, store
+from raystream.kernels.vectors import corner_of, cross, dot, minus
 
 #: Points side by side.
 LANES = 8
@@ -32,30 +33,11 @@ _X, _Y, _Z = np.uint64(0), np.uint64(64), np.uint64(128)
 
 
 @device
-def dot(p, q):
-    """Dot product."""
-    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-
-
-@device
-def _to_corner(corners, prim_id, corner, point):
-    """From eight points to a corner of a triangle."""
-    return (
-        np.float64(corners[prim_id, corner, 0]) - point[0],
-        np.float64(corners[prim_id, corner, 1]) - point[1],
-        np.float64(corners[prim_id, corner, 2]) - point[2],
-    )
-
-
-@device
 def _half_angle(a, b, c):
     """Real and imaginary part of a number whose argument is half of the solid angle."""
-    x = b[1] * c[2] - b[2] * c[1]
-    y = b[2] * c[0] - b[0] * c[2]
-    z = b[0] * c[1] - b[1] * c[0]
     of_a, of_b, of_c = square_root(dot(a, a)), square_root(dot(b, b)), square_root(dot(c, c))
     real = of_a * of_b * of_c + dot(a, b) * of_c + dot(b, c) * of_a + dot(c, a) * of_b
-    return real, a[0] * x + a[1] * y + a[2] * z
+    return real, dot(a, cross(b, c))
 
 
 @device
@@ -86,9 +68,9 @@ def _turned(angle, by):
 @device
 def add_triangle(angle, corners, prim_id, point):
     """Add a triangle's solid angle, as seen from eight points, to a sum; see `_turned`."""
-    a = _to_corner(corners, prim_id, 0, point)
-    b = _to_corner(corners, prim_id, 1, point)
-    c = _to_corner(corners, prim_id, 2, point)
+    a = minus(corner_of(corners, prim_id, 0), point)
+    b = minus(corner_of(corners, prim_id, 1), point)
+    c = minus(corner_of(corners, prim_id, 2), point)
     return _turned(angle, _half_angle(a, b, c))
 
 

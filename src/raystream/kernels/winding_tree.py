@@ -31,8 +31,10 @@ from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, all_lanes, f64x8, load, scratch, square_root, store
 from raystream.jit.threads import parallel_for
+from raystream.kernels.morton import spread_numbers
 from raystream.kernels.point_order import order_points
-from raystream.kernels.winding import LANES, add_triangle, dot
+from raystream.kernels.vectors import corner_of, cross, dot, minus
+from raystream.kernels.winding import LANES, add_triangle
 
 #: Triangles of a leaf: at least half of it.
 _LEAF = 8
@@ -109,31 +111,8 @@ def _morton_order(corners: NDArray[np.float32]) -> NDArray[np.int64]:
     cells = ((centers - low) * ((2**_KEY_BITS - 1) / size)).astype(np.uint64)
     keys = np.zeros(len(cells), np.uint64)
     for axis in range(3):
-        bits = cells[:, axis]
-        for shift, mask in (
-            (32, 0x1F00000000FFFF),
-            (16, 0x1F0000FF0000FF),
-            (8, 0x100F00F00F00F00F),
-            (4, 0x10C30C30C30C30C3),
-            (2, 0x1249249249249249),
-        ):
-            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
-        keys |= bits << np.uint64(axis)
+        keys |= spread_numbers(cells[:, axis]) << np.uint64(axis)
     return np.argsort(keys, kind="stable")
-
-
-@device
-def _corner(corners, k, corner):
-    return (
-        np.float64(corners[k, corner, 0]),
-        np.float64(corners[k, corner, 1]),
-        np.float64(corners[k, corner, 2]),
-    )
-
-
-@device
-def _minus(p, q):
-    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
 
 
 @device
@@ -148,12 +127,7 @@ def _scaled(p, by):
 
 @device
 def _area_vector(a, b, c):
-    p, q = _minus(b, a), _minus(c, a)
-    return (
-        0.5 * (p[1] * q[2] - p[2] * q[1]),
-        0.5 * (p[2] * q[0] - p[0] * q[2]),
-        0.5 * (p[0] * q[1] - p[1] * q[0]),
-    )
+    return _scaled(cross(minus(b, a), minus(c, a)), 0.5)
 
 
 @device
@@ -161,14 +135,14 @@ def _center_of(corners, first, last):
     """The centre of area of some triangles, and their area."""
     total, center = 0.0, (0.0, 0.0, 0.0)
     for k in range(first, last):
-        a, b, c = _corner(corners, k, 0), _corner(corners, k, 1), _corner(corners, k, 2)
+        a, b, c = corner_of(corners, k, 0), corner_of(corners, k, 1), corner_of(corners, k, 2)
         vector = _area_vector(a, b, c)
         area = math.sqrt(dot(vector, vector))
         total += area
         center = _plus(center, _scaled(_plus(_plus(a, b), c), area))
     if total > 0.0:
         return _scaled(center, 1.0 / (3.0 * total)), total
-    return _corner(corners, first, 0), total
+    return corner_of(corners, first, 0), total
 
 
 @device
@@ -230,9 +204,9 @@ def _make_nodes(begin, end, level, depth, tree):
         center, area = _center_of(tree.corners, first, last)
         radius, third = 0.0, 0.0
         for k in range(first, last):
-            a = _minus(_corner(tree.corners, k, 0), center)
-            b = _minus(_corner(tree.corners, k, 1), center)
-            c = _minus(_corner(tree.corners, k, 2), center)
+            a = minus(corner_of(tree.corners, k, 0), center)
+            b = minus(corner_of(tree.corners, k, 1), center)
+            c = minus(corner_of(tree.corners, k, 2), center)
             vector = _area_vector(a, b, c)
             of_a, of_b, of_c = math.sqrt(dot(a, a)), math.sqrt(dot(b, b)), math.sqrt(dot(c, c))
             radius = max(radius, max(of_a, max(of_b, of_c)))

@@ -16,7 +16,7 @@ from raystream.core.rays import RayBatch
 from raystream.core.scene_kinds import check_support
 from raystream.core.triangles import Triangles
 from raystream.geometry.instances.structure import InstancedStructure
-from raystream.jit.threads import Progress, parallel_for
+from raystream.jit.threads import Progress, parallel_for, part_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.kernels.solids import Solids, solids_of
@@ -226,7 +226,7 @@ class _Worker:
                 t_max=np.inf if self._rules.clips else self._batch.t_max[rows],
                 crossings="surfaces",
                 on_hit=self._on_hit,
-                progress=_within(progress, rows, total),
+                progress=part_of(progress, rows.start, total, rows.stop - rows.start),
             )
             yield rows, hits
             first = max(rows.stop, 1)
@@ -414,11 +414,3 @@ def _used(
     ray = np.repeat(np.arange(len(counts)), counts)
     begin = np.cumsum(counts) - counts
     return splits[ray] + np.arange(len(ray)) - begin[ray], ray
-
-
-def _within(progress: Progress | None, rows: slice, total: int) -> Progress | None:
-    """The callback for the query of a block."""
-    if progress is None:
-        return None
-    whole, count = progress, rows.stop - rows.start
-    return lambda done, steps: whole(rows.start + count * done // max(steps, 1), total)

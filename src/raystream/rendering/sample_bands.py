@@ -107,10 +107,7 @@ def trace_samples(
         for number in range(begin, end):
             trace_band(number)
 
-    report = None
-    if progress is not None:
-        whole = progress
-        report = lambda done, steps: whole(path_count * done // steps, path_count)  # noqa: E731
+    report = part_of(progress, 0, path_count, path_count)
     parallel_for(trace, len(samples) * band_count, 1, report)
     return light, aovs
 

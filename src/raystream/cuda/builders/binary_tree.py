@@ -21,6 +21,7 @@ from raystream.jit.cpu import device
 from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.simd import f32x8, load, maximum, scratch, store
+from raystream.kernels.morton import spread_bits
 from raystream.structures.bvh.builder.binary_tree import LINK_BYTES, Link
 from raystream.structures.bvh.builder.collapse import COST_BYTES, leaf_costs, merge_costs
 from raystream.structures.bvh.builder.prim_refs import COUNT_AT, REF_BYTES, write_ref
@@ -104,16 +105,6 @@ def _step(place, low, frame):
     return np.uint64(np.int64(min(max(steps, 0.0), _LAST_STEP)))
 
 
-@device
-def _spread_bits(number):
-    """The bits of a number below 2**21, with two zeros after each."""
-    number = (number | (number << np.uint64(32))) & np.uint64(0x001F00000000FFFF)
-    number = (number | (number << np.uint64(16))) & np.uint64(0x001F0000FF0000FF)
-    number = (number | (number << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
-    number = (number | (number << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
-    return (number | (number << np.uint64(2))) & np.uint64(0x1249249249249249)
-
-
 @gpu_kernel(frame=KeyFrame)
 def make_key(i, corners, prim_ids, frame, keys, values):
     """Write the key of the triangle in row i of `prim_ids`, and its prim_id."""
@@ -124,7 +115,7 @@ def make_key(i, corners, prim_ids, frame, keys, values):
     for axis in range(_AXES):
         at = record + (axis << SHIFT_32)
         low, high = np.float64(-load(np.float32, at)), load(np.float32, at + np.uint64(16))
-        key |= _spread_bits(_step(low + np.float64(high), frame.low[axis], frame)) << axis
+        key |= spread_bits(_step(low + np.float64(high), frame.low[axis], frame)) << axis
     store(keys + (i << SHIFT_64), key)
     store(values + (i << SHIFT_32), np.uint32(prim_id))
 

@@ -9,9 +9,8 @@ from raystream.cuda.bvh.triangles import TRIANGLE, TRIANGLE_ID, is_last
 from raystream.cuda.bvh.walk import binary_walk, one_tree
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
-from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
+from raystream.kernels.nearest import offer_triangle
 from raystream.kernels.point_queries import PointSearch
-from raystream.kernels.point_triangle import squared_distance
 from raystream.structures.bvh.nearest import far_distance, interval, line_of, near_distance
 
 _STRIDE = np.int32(4)  # from one number of a triangle to the next
@@ -30,11 +29,8 @@ def _enter(box, line, search, _near, far):
 def _visit_leaf(tree, link, line, search, _stack):
     at = tree.leaves + np.uint64(~link) * TRIANGLE
     while True:
-        a, b, c = corners_at(at, _STRIDE)
-        squared = squared_distance(line.point, a, b, c)
         prim_id = load(np.int32, at + TRIANGLE_ID)
-        if is_wanted(search, squared, prim_id):
-            search = offer_nearest(search, squared, prim_id, at, _STRIDE)
+        search = offer_triangle(search, line.point, prim_id, at, _STRIDE)
         if is_last(at):
             return search, False
         at += TRIANGLE

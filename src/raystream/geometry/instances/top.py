@@ -17,7 +17,7 @@ from raystream.core.instances import Instances
 from raystream.core.triangles import Triangles, local_frame
 from raystream.geometry.instances.grouped_trees import grouped_trees
 from raystream.kernels.aligned import aligned_array
-from raystream.structures.bvh.build import build_arrays
+from raystream.structures.bvh.build import build_arrays, triangles_of_boxes
 from raystream.structures.bvh.layout import NODE_FLOATS
 
 #: In object space a hit is within the padding of its triangle's box: `kernels.ray.PAD` of the sum
@@ -57,10 +57,7 @@ def world_boxes(
 
 
 def world_frame(triangles: InstancedTriangles) -> Triangles:
-    """The boxes of the instances as triangles that span them, in a local frame of the scene.
-
-    A triangle with two of its vertices at a box's low and high corner has that box.
-    """
+    """The boxes of the instances as triangles that span them, in a local frame of the scene."""
     low, high, is_empty = world_boxes(triangles)
     if is_empty.all():
         center, scale = np.zeros(3), 1.0
@@ -72,16 +69,8 @@ def world_frame(triangles: InstancedTriangles) -> Triangles:
     low, high = (low - center) * scale, (high - center) * scale
     low[is_empty] = high[is_empty] = 0.0
     margin = WORLD_MARGIN * max(np.abs(low).max(initial=0.0), np.abs(high).max(initial=0.0))
-    corners = np.empty((len(low), 3, 3), np.float32)
-    corners[:, 0] = np.nextafter((low - margin).astype(np.float32), np.float32(-np.inf))
-    corners[:, 1] = np.nextafter((high + margin).astype(np.float32), np.float32(np.inf))
-    corners[:, 2] = corners[:, 0]
-    held = corners[~is_empty]
-    bounds = np.zeros((2, 3), np.float32)
-    if len(held):
-        bounds[:] = _rows(held[:, 0]).min(axis=1), _rows(held[:, 1]).max(axis=1)
-    splits = np.array([0, len(low)], np.int64)
-    return Triangles.from_solid(corners, splits, center, scale, ~is_empty, 0, bounds)
+    boxes = np.stack([low - margin, high + margin], axis=1)
+    return triangles_of_boxes(boxes, ~is_empty, center, scale)
 
 
 class TopTrees(NamedTuple):

@@ -13,22 +13,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.geometry.fields.cells import PACKET_BYTES, STACK_BYTES, fill_row, node_box
-from raystream.geometry.fields.levels import BLOCK_CELLS
+from raystream.geometry.fields.cells import PACKET_BYTES, field_walk, fill_row
 from raystream.geometry.primitives.records import (
     SPHERES_PER_BLOCK,
     FieldRecord,
-    LevelRecord,
     SphereBlockLanes,
 )
 from raystream.geometry.spheres.sphere import HIT, ExactRay, exact_ray, intersect, own_box, place
-from raystream.jit.constants import NULL, ONE_U64, THREE_U64, TWO_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, THREE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import any_lane, lanes_from_bits, mask16, maximum, minimum, scratch
+from raystream.jit.simd import (
+    any_lane,
+    lane,
+    lanes_from_bits,
+    mask16,
+    maximum,
+    minimum,
+    scratch,
+    store,
+)
 from raystream.jit.views import view
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import load_direction, load_origin
-from raystream.kernels.triangle_lanes import slab_interval
+from raystream.kernels.triangle_lanes import planes_along, slab_interval
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.leaf_kinds import no_prefetch
 from raystream.structures.bvh.node_layout import leaf_address, prefetch_child
@@ -47,7 +54,7 @@ from raystream.structures.bvh.walks.packet import TRACE_BYTES, continue_packet, 
 
 _FOUR, _LANES = np.uint64(4), np.uint64(16)
 _FIELD_SHIFT = np.int32(3)
-_CELLS, _SPHERES = np.uint64(BLOCK_CELLS), np.uint64(SPHERES_PER_BLOCK)
+_SPHERES = np.uint64(SPHERES_PER_BLOCK)
 
 #: Sixteen rays in float64, see `sphere.ExactRay`; and the same with a lane index.
 _EXACT = {"origin": (3, 16), "direction": (3, 16), "inv_square": (16,), "offset": (16,)}
@@ -59,8 +66,9 @@ _EXACT_BYTES = 16 * 8 * 8 * int(GROUPS)
 _Hits = view([(name, kind, 16) for name, kind in HIT])
 _HITS_BYTES = 16 * 40
 
-#: A node of a height field on the stack, and the groups that enter it.
-_Node = view([("level", "u4"), ("column", "u4"), ("row", "u4"), ("first", "u2"), ("last", "u2")])
+#: Of the groups that enter a node of a height field, as one number: bits of the first one, and
+#: where the last one begins.
+_FIRST_BITS, _LAST_SHIFT = np.uint64(0xFFFF), np.uint64(16)
 
 #: The link of a leaf of two blocks, of which the first one is the first of all.
 _TWO_BLOCKS = np.int32(~1)
@@ -114,12 +122,12 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
     block, hits = SphereBlockLanes(leaf_address(leaves, child)), _Hits(scratch(_HITS_BYTES))
     back, frame = (rays.x.back, rays.y.back, rays.z.back), leaf.frame
     to, has_hit = leaf.hits, False
-    for lane in range(_SPHERES):
-        number = block.numbers[lane]
+    for k in range(_SPHERES):
+        number = block.numbers[k]
         if number < np.int32(0):
             break
-        sphere = block.x[lane], block.y[lane], block.z[lane], block.radius[lane]
-        planes = own_box(sphere, frame, back)
+        sphere = block.x[k], block.y[k], block.z[k], block.radius[k]
+        planes = planes_along(*own_box(sphere, frame), back)
         entering = group_range(packet, planes, rays.t_min, groups)
         for g in range(entering.first, entering.last + ONE_U64):
             group, exact = Group(packet, g), _Exact(leaf.memory, g)
@@ -148,54 +156,56 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
 
 
 @device
-def _push(stack, top, level, column, row, groups):
-    """Push a node, if a group enters it; returns the stack's height."""
-    node = _Node(stack, top)
-    node.level, node.column, node.row = np.uint32(level), np.uint32(column), np.uint32(row)
-    node.first, node.last = np.uint16(groups.first), np.uint16(groups.last)
-    return top + np.uint64(groups.first <= groups.last)
+def _key_of(groups):
+    """The groups that enter a node as its key, see `fields.cells.field_walk`."""
+    return np.int32(groups.first | (groups.last << _LAST_SHIFT))
+
+
+@device
+def _groups_of(key):
+    return GroupRange(np.uint64(key) & _FIRST_BITS, np.uint64(key) >> _LAST_SHIFT)
+
+
+@device
+def _take_all(key, level, query, found):  # noqa: ARG001
+    return True
+
+
+@device
+def _enter_nodes(boxes, key, query, found, keys):  # noqa: ARG001
+    """Find the nodes that groups enter, and which groups."""
+    _, packet, rays, _ = query
+    back, entered = (rays.x.back, rays.y.back, rays.z.back), ZERO_U64
+    near_x, near_y, near_z, far_x, far_y, far_z = planes_along(*boxes, back)
+    for k in range(_FOUR):
+        near = lane(near_x, k), lane(near_y, k), lane(near_z, k)
+        planes = *near, lane(far_x, k), lane(far_y, k), lane(far_z, k)
+        groups = group_range(packet, planes, rays.t_min, _groups_of(key))
+        store(keys + (k << SHIFT_32), _key_of(groups))
+        entered |= np.uint64(groups.first <= groups.last) << k
+    return entered
+
+
+@device
+def _visit_cells(field, place, key, query, found, blocks):
+    """Test the triangles of four cells of a row."""
+    leaf, packet, rays, own = query
+    back, to = (rays.x.back, rays.y.back, rays.z.back), leaf.hits
+    planes = planes_along(*fill_row(field, *place, blocks), back)
+    groups = group_range(packet, planes, rays.t_min, _groups_of(key))
+    found |= to.visit(to, packet, _TWO_BLOCKS, blocks, planes, rays, groups, own)
+    return found, False
+
+
+_walk_field = field_walk(_take_all, _enter_nodes, _visit_cells)
 
 
 @device
 def _visit_field(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: ARG001
-    """Search a height field with groups of a packet; see `fields.cells.traverse_field`."""
+    """Search a height field with groups of a packet."""
     field = FieldRecord(leaves, np.uint64(np.int32(~child) >> _FIELD_SHIFT))
-    back = rays.x.back, rays.y.back, rays.z.back
-    turn_x = np.uint64(back[0] != (field.x_falls != np.int32(0)))
-    turn_y = np.uint64(back[1] != (field.y_falls != np.int32(0)))
-    turn, has_hit, stack = turn_x | (turn_y << ONE_U64), False, leaf.memory
-    top = _push(stack, ZERO_U64, field.level_count, ZERO_U64, ZERO_U64, groups)
-    while top != ZERO_U64:
-        top -= ONE_U64
-        node = _Node(stack, top)
-        number, column, row = np.uint64(node.level), np.uint64(node.column), np.uint64(node.row)
-        groups = GroupRange(np.uint64(node.first), np.uint64(node.last))
-        if number == ZERO_U64:
-            has_hit |= _visit_cells(leaf, packet, field, column, row, turn_y, rays, groups, own)
-            continue
-        number -= ONE_U64
-        level = LevelRecord(field.levels, number)
-        for k in range(_FOUR):  # the last one is visited first
-            lane = (THREE_U64 - k) ^ turn
-            x, y = (column << ONE_U64) + (lane & ONE_U64), (row << ONE_U64) + (lane >> ONE_U64)
-            planes = node_box(field, level, x, y, back)
-            entering = group_range(packet, planes, rays.t_min, groups)
-            top = _push(stack, top, number, x, y, entering)
-    return has_hit
-
-
-@device
-def _visit_cells(leaf, packet, field, column, row, turn_y, rays, groups, own):
-    """Test the triangles of a node of the finest level, row by row."""
-    back, blocks = (rays.x.back, rays.y.back, rays.z.back), leaf.memory + np.uint64(STACK_BYTES)
-    to, has_hit = leaf.hits, False
-    for k in range(_CELLS):
-        at = row * _CELLS + (_CELLS - ONE_U64 - k if turn_y == ONE_U64 else k)
-        if at < field.rows:
-            planes = fill_row(field, at, column * _CELLS, back, blocks)
-            entering = group_range(packet, planes, rays.t_min, groups)
-            has_hit |= to.visit(to, packet, _TWO_BLOCKS, blocks, planes, rays, entering, own)
-    return has_hit
+    query, back = (leaf, packet, rays, own), (rays.x.back, rays.y.back)
+    return _walk_field(field, back, _key_of(groups), query, False, leaf.memory)
 
 
 # Scenes

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.primitives import Primitives
-from raystream.core.triangles import Triangles
 from raystream.geometry.fields.levels import field_levels
 from raystream.geometry.primitives.batches import batch_kernels
 from raystream.geometry.primitives.records import (
@@ -29,7 +28,7 @@ from raystream.jit.threads import Progress, part_of
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.base import RAYS_PER_CALL, BuildReport, Nested, Structure
 from raystream.structures.brute.structure import BruteStructure
-from raystream.structures.bvh.build import build_arrays
+from raystream.structures.bvh.build import build_arrays, triangles_of_boxes
 from raystream.structures.bvh.structure import BvhStructure
 
 #: Tests per call of a compiled loop, by brute force: about 50 ms.
@@ -147,7 +146,9 @@ class PrimitiveBvh(PrimitiveStructure):
     def _tree_over(
         self, boxes: NDArray[np.float64], leaf_size: int, progress: Progress | None
     ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        tree = build_arrays(_spanning(self.triangles, boxes), "balanced", leaf_size, progress)
+        frame = self.triangles.center, self.triangles.scale
+        spanning = triangles_of_boxes(boxes, np.ones(len(boxes), np.bool_), *frame)
+        tree = build_arrays(spanning, "balanced", leaf_size, progress)
         return tree.nodes, np.ascontiguousarray(tree.prim_ids[:, :leaf_size])
 
 
@@ -174,21 +175,6 @@ def _sphere_boxes(primitives: Primitives) -> NDArray[np.float64]:
     radii = (spheres.radii * primitives.scale)[:, None]
     reach = radii + (np.abs(centers) + radii) * _BOX_GROWTH
     return np.stack([centers - reach, centers + reach], axis=1)
-
-
-def _spanning(primitives: Primitives, boxes: NDArray[np.float64]) -> Triangles:
-    """Triangles that span boxes."""
-    corners = np.empty((len(boxes), 3, 3), np.float32)
-    corners[:, 0] = np.nextafter(boxes[:, 0].astype(np.float32), np.float32(-np.inf))
-    corners[:, 1] = np.nextafter(boxes[:, 1].astype(np.float32), np.float32(np.inf))
-    corners[:, 2] = corners[:, 0]
-    bounds = np.zeros((2, 3), np.float32)
-    if len(corners):
-        bounds[:] = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
-    splits, solid = np.array([0, len(corners)], np.int64), np.ones(len(corners), np.bool_)
-    return Triangles.from_solid(
-        corners, splits, primitives.center, primitives.scale, solid, 0, bounds
-    )
 
 
 #: By name.

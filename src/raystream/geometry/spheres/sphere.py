@@ -44,7 +44,7 @@ from raystream.jit.views import view
 from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
 from raystream.kernels.search import is_full, offer
 from raystream.kernels.tally import TESTS, add_to
-from raystream.kernels.triangle_lanes import slab_interval
+from raystream.kernels.triangle_lanes import boxes_interval
 
 _NONE, _ONE, _TWO = np.arange(3, dtype=np.uint64)
 _HALF64 = np.float64(0.5)
@@ -131,21 +131,14 @@ def exact_ray(origin, direction, offset, frame):
 
 
 @device
-def own_box(spheres, frame, back):
-    """The spheres' boxes.
+def own_box(spheres, frame):
+    """Low and high corners of the spheres' boxes: float32 vectors or numbers.
 
     Parameters
     ----------
     spheres : tuple of four float64 vectors or numbers
         Centres and radii, world space.
     frame : SceneFrame or ExactRay
-    back : tuple of three bool
-        Whether the rays' directions are negative.
-
-    Returns
-    -------
-    tuple of six float32 vectors or numbers
-        Near x, y, z and far x, y, z planes.
     """
     center, scale = frame.center, frame.scale
     x = as_float32((spheres[0] - center[0]) * scale)
@@ -155,14 +148,7 @@ def own_box(spheres, frame, back):
     reach_x = radius + (absolute(x) + radius) * BOX_GROWTH
     reach_y = radius + (absolute(y) + radius) * BOX_GROWTH
     reach_z = radius + (absolute(z) + radius) * BOX_GROWTH
-    return (
-        select(back[0], x + reach_x, x - reach_x),
-        select(back[1], y + reach_y, y - reach_y),
-        select(back[2], z + reach_z, z - reach_z),
-        select(back[0], x - reach_x, x + reach_x),
-        select(back[1], y - reach_y, y + reach_y),
-        select(back[2], z - reach_z, z + reach_z),
-    )
+    return (x - reach_x, y - reach_y, z - reach_z), (x + reach_x, y + reach_y, z + reach_z)
 
 
 @device
@@ -287,15 +273,7 @@ def intersect_spheres(block, ray, exact, search):
     add_to(search.counters, TESTS, _LANES)
     held = SphereBlock(block)
     spheres = held.x, held.y, held.z, held.radius
-    box = own_box(
-        spheres, exact, (ray.inv_x < ZERO_F32, ray.inv_y < ZERO_F32, ray.inv_z < ZERO_F32)
-    )
-    interval = slab_interval(
-        *box,
-        (ray.inv_x, ray.inv_y, ray.inv_z),
-        (ray.near_x, ray.near_y, ray.near_z),
-        (ray.far_x, ray.far_y, ray.far_z),
-    )
+    interval = boxes_interval(ray, *own_box(spheres, exact))
     t_min, t_far = search.t_min, search.t_far
     entered, left = intersect(spheres, interval, exact, t_min, t_far, _Hits(at))
     for side in range(_TWO):

@@ -9,9 +9,8 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.answers import loop_of
 from raystream.kernels.leaf_block import TRIANGLE_BYTES
-from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
+from raystream.kernels.nearest import offer_triangle
 from raystream.kernels.point_queries import PointSearch, nearest_answer
-from raystream.kernels.point_triangle import squared_distance
 
 _STRIDE = np.int32(4)
 
@@ -22,10 +21,7 @@ def _find(tree, frame, point, search, stack):
     for k in range(tree.triangle_count):
         prim_id = load(np.int32, tree.references + (k << SHIFT_32))
         place = tree.corners + np.uint64(prim_id) * TRIANGLE_BYTES
-        a, b, c = corners_at(place, _STRIDE)
-        squared = squared_distance(point, a, b, c)
-        if is_wanted(search, squared, prim_id):
-            search = offer_nearest(search, squared, prim_id, place, _STRIDE)
+        search = offer_triangle(search, point, prim_id, place, _STRIDE)
     return search
 
 

@@ -87,6 +87,38 @@ def _make_arrays(node_count: int, block_count: int) -> BvhArrays:
     )
 
 
+def triangles_of_boxes(
+    boxes: NDArray[np.float64],
+    is_held: NDArray[np.bool_],
+    center: NDArray[np.float64],
+    scale: float,
+) -> Triangles:
+    """Triangles that span boxes, for a tree over these.
+
+    A triangle with two of its vertices at a box's low and high corner has that box.
+
+    Parameters
+    ----------
+    boxes : ndarray of shape (N, 2, 3), float64
+        Low and high corners, in the local frame of `center` and `scale`.
+    is_held : ndarray of shape (N,), bool
+        Which of them the tree has.
+    center : ndarray of shape (3,), float64
+    scale : float
+    """
+    corners = np.empty((len(boxes), 3, 3), np.float32)
+    corners[:, 0] = np.nextafter(boxes[:, 0].astype(np.float32), np.float32(-np.inf))
+    corners[:, 1] = np.nextafter(boxes[:, 1].astype(np.float32), np.float32(np.inf))
+    corners[:, 2] = corners[:, 0]
+    bounds = np.zeros((2, 3), np.float32)
+    if is_held.any():
+        # By axis: NumPy finds the extremes of long rows fast.
+        low, high = np.ascontiguousarray(corners[is_held, :2].transpose(1, 2, 0))
+        bounds[:] = low.min(axis=1), high.max(axis=1)
+    splits = np.array([0, len(boxes)], np.int64)
+    return Triangles.from_solid(corners, splits, center, scale, is_held, 0, bounds)
+
+
 class _Writer:
     """Count the rows of a wide tree, then write them.
 
@@ -122,15 +154,7 @@ class _Writer:
         wide = _make_arrays(0, 0) if arrays is None else arrays
 
         def body(begin: int, end: int) -> None:
-            write_trees(
-                begin,
-                end,
-                trees,
-                deferred,
-                arrays is not None,
-                self.tree.arrays,
-                self.corners,
-                wide,
-            )
+            read = self.tree.arrays, self.corners
+            write_trees(begin, end, trees, deferred, arrays is not None, *read, wide)
 
         parallel_for(body, len(trees.roots), _TREES_PER_CALL)

@@ -88,6 +88,14 @@ class TreeAddresses(NamedTuple):
 
 # Codes that `_check_tree` returns.
 _BAD_CHILD, _BAD_LEAF, _BAD_ID, _BAD_LANE, _MISSING, _REPEATED = range(-1, -7, -1)
+_FAULTS = {
+    _BAD_CHILD: "a node's child is out of range or has two parents",
+    _BAD_LEAF: "a leaf is out of range",
+    _BAD_ID: "a leaf has a prim_id that is out of range",
+    _BAD_LANE: "an absent child has a box",
+    _REPEATED: "a triangle is in more than one leaf; rebuild the structure",
+    _MISSING: "a triangle of the scene is in no leaf",
+}
 
 
 @kernel
@@ -177,18 +185,8 @@ def check_arrays(
         raise ValueError("the triangles differ from the scene's")
     depths, held = np.zeros(len(nodes), np.int32), np.zeros_like(wanted)
     depth = _check_tree(nodes, tree.children, tree.prim_ids, depths, wanted, held)
-    if depth == _BAD_CHILD:
-        raise ValueError("a node's child is out of range or has two parents")
-    if depth == _BAD_LEAF:
-        raise ValueError("a leaf is out of range")
-    if depth == _BAD_ID:
-        raise ValueError("a leaf has a prim_id that is out of range")
-    if depth == _BAD_LANE:
-        raise ValueError("an absent child has a box")
-    if depth == _REPEATED:
-        raise ValueError("a triangle is in more than one leaf; rebuild the structure")
-    if depth == _MISSING:
-        raise ValueError("a triangle of the scene is in no leaf")
+    if depth in _FAULTS:
+        raise ValueError(_FAULTS[depth])
     if depth > MAX_DEPTH:
         raise ValueError(f"the tree is {depth} nodes deep; at most {MAX_DEPTH} are possible")
     return tree

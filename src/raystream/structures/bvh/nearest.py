@@ -35,7 +35,7 @@ from raystream.kernels.answers import loop_of
 from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
 from raystream.kernels.nearest import is_wanted, offer_nearest
 from raystream.kernels.point_queries import PointSearch, nearest_answer
-from raystream.kernels.point_triangle import squared_distance
+from raystream.kernels.point_triangle import triangle_features
 from raystream.structures.bvh.node_layout import Node
 from raystream.structures.bvh.steps import leaf_blocks
 from raystream.structures.bvh.walks.single import STACK_BYTES, tree_walk
@@ -182,7 +182,7 @@ def _offer_block(block, point, search):
     """Offer the triangles of a leaf block."""
     lanes = scratch(64)
     a, b, c = _corner(block), _corner(block + SECOND), _corner(block + THIRD)
-    squared = squared_distance(point, a, b, c)
+    squared = triangle_features(point, a, b, c).squared
     bits = mask_bits(squared <= search.limit)
     if bits != ZERO_U64:
         store(lanes, squared)

@@ -21,15 +21,19 @@ from raystream.jit.simd import (
 )
 from raystream.jit.threads import parallel_for
 from raystream.kernels.leaf_block import BLOCK, BLOCK_SIZE, PRIM_IDS, TRIANGLE_BYTES, write_corners
-from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH, BvhArrays
+from raystream.structures.bvh.layout import WIDTH, BvhArrays
+from raystream.structures.bvh.node_layout import (
+    BOX_FLIP,
+    CHILDREN,
+    LANE,
+    NODE,
+    NODE_AXIS,
+    leaf_address,
+    leaf_end,
+)
 
 #: Nodes per call of `_refit_leaves`.
 _CHUNK = 1 << 9
-
-
-#: Stride of the axes in a node's planes, and offset from low to high planes.
-_AXIS_BYTES = 8 * WIDTH
-_PLANE_BYTES = 4 * WIDTH
 
 
 def refit(arrays: BvhArrays, corners: NDArray[np.float32]) -> None:
@@ -62,7 +66,7 @@ def _refit_leaves(begin, end, corners, nodes, leaves):
     corner_at, node_at, leaf_at = address(corners), address(nodes), address(leaves)
     last_block = leaf_at + np.uint64(len(leaves)) * BLOCK
     for row in range(np.uint64(begin), np.uint64(end)):
-        refit_leaves(node_at + row * np.uint64(NODE_BYTES), corner_at, leaf_at, last_block)
+        refit_leaves(node_at + row * NODE, corner_at, leaf_at, last_block)
 
 
 @device
@@ -77,30 +81,29 @@ def refit_leaves(node, corners, leaves, last_block):
         Address after the last block.
     """
     for lane in range(np.uint64(WIDTH)):
-        link = load(np.int32, node + np.uint64(CHILDREN_AT) + lane * np.uint64(4))
+        link = load(np.int32, node + CHILDREN + lane * LANE)
         if link >= np.int32(0):
             continue
-        block = leaves + np.uint64(~link >> np.int32(3)) * BLOCK
-        end_block = block + np.uint64((~link & np.int32(7)) + np.int32(1)) * BLOCK
+        first = block = leaf_address(leaves, link)
+        end_block = leaf_end(first, link)
         while block != end_block:
             # The corners of the next leaf's triangles are far away in memory.
             if block + (BLOCK + BLOCK) < last_block:
                 _prefetch_corners(block + (BLOCK + BLOCK), corners)
             _copy_corners(block, corners)
             block += BLOCK
-        block = leaves + np.uint64(~link >> np.int32(3)) * BLOCK
         for axis in range(np.uint64(3)):
             low, high = f32x4(INF_F32), f32x4(-INF_F32)
-            at = block + axis * np.uint64(16)
+            at = first + axis * np.uint64(16)
             while at < end_block:
                 # NaN, of unused lanes, has no effect: the second operand wins.
                 for vertex in range(np.uint64(3)):
                     plane = load(f32x4, at + vertex * np.uint64(48))
                     low, high = minimum(plane, low), maximum(plane, high)
                 at += BLOCK
-            to = node + axis * np.uint64(_AXIS_BYTES) + lane * np.uint64(4)
+            to = node + axis * NODE_AXIS + lane * LANE
             store(to, reduce_min(low))
-            store(to + np.uint64(_PLANE_BYTES), reduce_max(high))
+            store(to + BOX_FLIP, reduce_max(high))
 
 
 @device
@@ -130,7 +133,7 @@ def _refit_nodes(nodes):
     while row != np.uint64(0):
         row -= np.uint64(1)
         # Children have greater rows, which are done.
-        refit_node(node_at + row * np.uint64(NODE_BYTES), node_at)
+        refit_node(node_at + row * NODE, node_at)
 
 
 @device
@@ -143,13 +146,12 @@ def refit_node(node, nodes):
         Addresses of the node, and of all nodes.
     """
     for lane in range(np.uint64(WIDTH)):
-        link = load(np.int32, node + np.uint64(CHILDREN_AT) + lane * np.uint64(4))
+        link = load(np.int32, node + CHILDREN + lane * LANE)
         if link <= np.int32(0):
             continue
-        child = nodes + np.uint64(link) * np.uint64(NODE_BYTES)
+        child = nodes + np.uint64(link) * NODE
         for axis in range(np.uint64(3)):
-            planes = axis * np.uint64(_AXIS_BYTES)
-            to = node + planes + lane * np.uint64(4)
+            planes = axis * NODE_AXIS
+            to = node + planes + lane * LANE
             store(to, reduce_min(load(f32x8, child + planes)))
-            highs = load(f32x8, child + planes + np.uint64(_PLANE_BYTES))
-            store(to + np.uint64(_PLANE_BYTES), reduce_max(highs))
+            store(to + BOX_FLIP, reduce_max(load(f32x8, child + planes + BOX_FLIP)))

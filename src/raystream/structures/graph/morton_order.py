@@ -1,9 +1,4 @@
-"""The order of sectors in memory: along a Morton curve.
-
-References
-----------
-Morton, "A computer oriented geodetic data base and a new technique in file sequencing", IBM 1966.
-"""
+"""The order of sectors in memory: along a Morton curve, see `kernels.morton`."""
 
 from __future__ import annotations
 
@@ -12,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.constants import ONE_U64, TWO_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
 from raystream.jit.threads import parallel_for
+from raystream.kernels.morton import spread_bits
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.graph.cells import NODE_BYTES, Cells, split_of
 from raystream.structures.graph.layout import SECTOR_ROWS
@@ -53,16 +49,6 @@ class Order(NamedTuple):
 
 
 @device
-def _spread(number):
-    """Insert two zero bits before each of the lowest 21 bits."""
-    number = (number | number << np.uint64(32)) & np.uint64(0x001F00000000FFFF)
-    number = (number | number << np.uint64(16)) & np.uint64(0x001F0000FF0000FF)
-    number = (number | number << np.uint64(8)) & np.uint64(0x100F00F00F00F00F)
-    number = (number | number << np.uint64(4)) & np.uint64(0x10C30C30C30C30C3)
-    return (number | number << TWO_U64) & np.uint64(0x1249249249249249)
-
-
-@device
 def morton_code(whole, box):
     """The Morton code of a box's centre in a whole box, both by address."""
     code = ZERO_U64
@@ -72,7 +58,7 @@ def morton_code(whole, box):
         size = np.float64(load(np.float32, whole + HIGH + at)) - low
         middle = np.float64(load(np.float32, box + at)) + load(np.float32, box + HIGH + at)
         place = (middle * 0.5 - low) / size * _STEP_COUNT
-        code |= _spread(np.uint64(min(max(place, 0.0), _LAST_STEP))) << axis
+        code |= spread_bits(np.uint64(min(max(place, 0.0), _LAST_STEP))) << axis
     return code
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, parallel_for
+from raystream.jit.threads import Progress, parallel_for, part_of
 from raystream.structures.clip import BOUND
 from raystream.structures.kdtree.layout import LEAF_AXIS, MAX_NODES, KdArrays
 from raystream.structures.kdtree.subtree import (
@@ -192,11 +192,7 @@ class _Builder:
             for node in ordered[begin:end] or [_empty_node()]:
                 self._grow(node)
 
-        def report(done: int, total: int) -> None:
-            if progress:
-                progress(count * done // total, count)
-
-        parallel_for(body, len(ordered), 1, report)
+        parallel_for(body, len(ordered), 1, part_of(progress, 0, count, count))
 
     def _grow(self, node: _TopNode) -> None:
         room = max(node.cell.room, node.size)

@@ -150,6 +150,43 @@ def is_left(ref, test, axis):
     return mask_bits(below) >> np.uint64(axis)
 
 
+class Sides(NamedTuple):
+    """Bounds of the references of both sides of a split, and of their centroids: f32x8 each."""
+
+    left: object
+    left_centroids: object
+    right: object
+    right_centroids: object
+
+
+@device
+def no_sides():
+    """Sides without references."""
+    return Sides(empty_box(), empty_box(), empty_box(), empty_box())
+
+
+@device
+def add_to_side(sides, ref, goes_left):
+    """The sides with another reference, on the left one if `goes_left` is 1."""
+    on_left, nothing = lanes_from_bits(mask8, np.uint64(0) - goes_left), empty_box()
+    centroid = centroid_bounds(ref)
+    return Sides(
+        maximum(sides.left, select(on_left, ref, nothing)),
+        maximum(sides.left_centroids, select(on_left, centroid, nothing)),
+        maximum(sides.right, select(on_left, nothing, ref)),
+        maximum(sides.right_centroids, select(on_left, nothing, centroid)),
+    )
+
+
+@device
+def store_sides(to, sides):
+    """Write the boxes of both sides to an address, as an array of shape (2, 2, 8)."""
+    store(to, sides.left)
+    store(to + np.uint64(REF_BYTES), sides.left_centroids)
+    store(to + np.uint64(2 * REF_BYTES), sides.right)
+    store(to + np.uint64(3 * REF_BYTES), sides.right_centroids)
+
+
 @device
 def partition(refs, begin, end, centroids, bin_count, axis, position):
     """Move the references of bins below `position` to the front.
@@ -158,12 +195,9 @@ def partition(refs, begin, end, centroids, bin_count, axis, position):
     -------
     middle : int32
         End of the left part.
-    left, left_centroids, right, right_centroids : f32x8
-        Bounds of the references of both sides, and of their centroids.
+    Sides
     """
-    test = side_test(centroids, bin_count, axis, position)
-    nothing = empty_box()
-    left, left_centroids, right, right_centroids = nothing, nothing, nothing, nothing
+    test, sides = side_test(centroids, bin_count, axis, position), no_sides()
     at = refs + np.uint64(begin) * np.uint64(REF_BYTES)
     last = refs + np.uint64(end) * np.uint64(REF_BYTES)
     border = at
@@ -171,27 +205,19 @@ def partition(refs, begin, end, centroids, bin_count, axis, position):
     while at != last:
         ref = load(f32x8, at)
         goes_left = is_left(ref, test, axis)
-        on_left = lanes_from_bits(mask8, np.uint64(0) - goes_left)
-        centroid = centroid_bounds(ref)
-        left = maximum(left, select(on_left, ref, nothing))
-        left_centroids = maximum(left_centroids, select(on_left, centroid, nothing))
-        right = maximum(right, select(on_left, nothing, ref))
-        right_centroids = maximum(right_centroids, select(on_left, nothing, centroid))
+        sides = add_to_side(sides, ref, goes_left)
         store(at, load(f32x8, border))
         store(border, ref)
         border += goes_left * np.uint64(REF_BYTES)
         at += np.uint64(REF_BYTES)
-    middle = np.int32((border - refs) >> np.uint64(5))
-    return middle, left, left_centroids, right, right_centroids
+    return np.int32((border - refs) >> np.uint64(5)), sides
 
 
 @device
 def halve(refs, begin, end):
     """Split a range by count; returns the same as `partition`."""
     middle = np.int32(begin + ((end - begin) >> 1))
-    left, left_centroids = bounds_of(refs, begin, middle)
-    right, right_centroids = bounds_of(refs, middle, end)
-    return middle, left, left_centroids, right, right_centroids
+    return middle, Sides(*bounds_of(refs, begin, middle), *bounds_of(refs, middle, end))
 
 
 @device

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, chunk_size, parallel_for
+from raystream.jit.threads import Progress, chunk_size, parallel_for, part_of
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.builder.binary_tree import LINK_INTS, BinaryTree, BuildSettings
 from raystream.structures.bvh.builder.collapse import COST_FLOATS, collapse_top
@@ -133,7 +133,7 @@ class _Grower:
         collapse_top(
             np.array([[p.row for p in part.parts or ()] or [-1, -1] for part in ranges], np.int32),
             np.array([part.node for part in ranges], np.int32),
-            np.array([[part.begin, part.size] for part in ranges], np.int32),
+            np.array([[part.begin, part.end] for part in ranges], np.int32),
             np.array([part.bounds[0] for part in ranges]),
             costs,
             self.tree,
@@ -177,31 +177,18 @@ class _Grower:
     def _split_middle(self, level: list[_Range], ranges: list[_Range]) -> None:
         """Split ranges until all are small, one thread each; append the parts to `ranges`."""
         while level := [part for part in level if part.size > self.subtree_size]:
-            bounds = np.empty((len(level), 2, 2, REF_FLOATS), np.float32)
-            middles = np.zeros(len(level), np.int64)
-            self._split_each(level, bounds, middles)
-            level = [
-                part
-                for i, whole in enumerate(level)
-                for part in whole.split(int(middles[i]), bounds[i], whole.refs)
-            ]
+
+            def body(begin: int, end: int, level: list[_Range] = level) -> None:
+                for part in level[begin:end] or [self._nothing()]:
+                    bounds = np.empty((2, 2, REF_FLOATS), np.float32)
+                    use_sides = part.depth < self.settings.sah_depth
+                    span = part.begin, part.end
+                    middle = split_once(part.refs, *span, use_sides, part.bounds, bounds)
+                    part.split(int(middle), bounds, part.refs)
+
+            parallel_for(body, len(level), 1)
+            level = [part for whole in level for part in whole.parts or ()]
             ranges += level
-
-    def _split_each(
-        self, level: list[_Range], bounds: NDArray[np.float32], middles: NDArray[np.int64]
-    ) -> None:
-        def split(part: _Range, bounds: NDArray[np.float32]) -> int:
-            use_sides = part.depth < self.settings.sah_depth
-            span = part.begin, part.end
-            return int(split_once(part.refs, *span, use_sides, part.bounds, bounds))
-
-        def body(begin: int, end: int) -> None:
-            if begin == end:
-                split(self._nothing(), bounds[0])
-            for i in range(begin, end):
-                middles[i] = split(level[i], bounds[i])
-
-        parallel_for(body, len(level), 1)
 
     def _nothing(self) -> _Range:
         """An empty range, for calls that only compile."""
@@ -230,8 +217,5 @@ class _Grower:
                 grow(part, scratch)
             free.append(scratch)
 
-        def report(done: int, total: int) -> None:
-            if progress:
-                progress(self.count * done // total, self.count)
-
-        parallel_for(body, len(subtrees), 1, report)
+        whole = self.count
+        parallel_for(body, len(subtrees), 1, part_of(progress, 0, whole, whole))

@@ -31,9 +31,9 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import view
-from raystream.structures.bvh.builder.binary_tree import Link
+from raystream.structures.bvh.builder.binary_tree import Link, put_node
 from raystream.structures.bvh.builder.binning import block_count
-from raystream.structures.bvh.builder.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES, half_area
+from raystream.structures.bvh.builder.prim_refs import COUNT_AT, REF_BYTES, half_area
 from raystream.structures.bvh.layout import WIDTH
 
 #: Costs of a node in 1 to 8 lanes, float32.
@@ -195,7 +195,7 @@ def collapse_top(parts, nodes, spans, bounds, costs, tree, settings):
     nodes : ndarray of shape (U,), int32
         Row of each range's root in the tree.
     spans : ndarray of shape (U, 2), int32
-        Its first reference, and their number.
+        Its first reference, and after its last one.
     bounds : ndarray of shape (U, 8), float32
         Boxes around the references.
     costs : ndarray of shape (U, 8), float32
@@ -212,17 +212,12 @@ def collapse_top(parts, nodes, spans, bounds, costs, tree, settings):
         node = np.uint64(nodes[row])
         box = box_at + node * np.uint64(REF_BYTES)
         link = Link(link_at, node)
-        store(box, load(f32x8, address(bounds) + row * np.uint64(REF_BYTES)))
-        store(box + np.uint64(FIRST_AT), np.int32(spans[row, 0]))
-        store(box + np.uint64(COUNT_AT), np.int32(spans[row, 1]))
+        whole = load(f32x8, address(bounds) + row * np.uint64(REF_BYTES))
+        put_node(box_at, link_at, node, whole, spans[row, 0], spans[row, 1])
         link.left, link.right = np.int32(nodes[left]), np.int32(nodes[right])
         link.is_top = np.int32(1)
-        merged = merge_costs(
-            box,
-            link,
-            load(f32x8, cost_at + left * np.uint64(COST_BYTES)),
-            load(f32x8, cost_at + right * np.uint64(COST_BYTES)),
-            settings.max_leaf_size,
-            settings.costs,
-        )
+        left_costs = load(f32x8, cost_at + left * np.uint64(COST_BYTES))
+        right_costs = load(f32x8, cost_at + right * np.uint64(COST_BYTES))
+        most = settings.max_leaf_size
+        merged = merge_costs(box, link, left_costs, right_costs, most, settings.costs)
         store(cost_at + row * np.uint64(COST_BYTES), merged)

@@ -6,19 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
-from raystream.jit.simd import (
-    address,
-    f32x8,
-    lanes_from_bits,
-    load,
-    mask8,
-    maximum,
-    scratch,
-    select,
-    store,
-)
+from raystream.jit.simd import address, f32x8, load, scratch, store
 from raystream.jit.threads import chunk_size, parallel_for
-from raystream.structures.bvh.builder.binary_tree import is_left, side_test
+from raystream.structures.bvh.builder.binary_tree import (
+    add_to_side,
+    is_left,
+    no_sides,
+    side_test,
+    store_sides,
+)
 from raystream.structures.bvh.builder.binning import (
     BIN_COUNT,
     SUMS_BYTES,
@@ -27,12 +23,7 @@ from raystream.structures.bvh.builder.binning import (
     clear_bins,
     find_split,
 )
-from raystream.structures.bvh.builder.prim_refs import (
-    REF_BYTES,
-    REF_FLOATS,
-    centroid_bounds,
-    empty_box,
-)
+from raystream.structures.bvh.builder.prim_refs import REF_BYTES, REF_FLOATS
 
 #: Most references per call of a kernel.
 _MOST = 1 << 15
@@ -131,8 +122,7 @@ def _move(begin, end, refs, target, centroids, split, left_row, right_row, bound
         return
     axis = np.int32(split[0])
     test = side_test(load(f32x8, address(centroids)), np.int32(BIN_COUNT), axis, np.int32(split[1]))
-    nothing = empty_box()
-    left, left_centroids, right, right_centroids = nothing, nothing, nothing, nothing
+    sides = no_sides()
     ref_at, target_at = address(refs), address(target)
     at = ref_at + np.uint64(begin) * np.uint64(REF_BYTES)
     last = ref_at + np.uint64(end) * np.uint64(REF_BYTES)
@@ -141,18 +131,9 @@ def _move(begin, end, refs, target, centroids, split, left_row, right_row, bound
     while at != last:
         ref = load(f32x8, at)
         goes_left = is_left(ref, test, axis)
-        on_left = lanes_from_bits(mask8, np.uint64(0) - goes_left)
-        centroid = centroid_bounds(ref)
-        left = maximum(left, select(on_left, ref, nothing))
-        left_centroids = maximum(left_centroids, select(on_left, centroid, nothing))
-        right = maximum(right, select(on_left, nothing, ref))
-        right_centroids = maximum(right_centroids, select(on_left, nothing, centroid))
+        sides = add_to_side(sides, ref, goes_left)
         store(right_at + (left_at - right_at) * goes_left, ref)
         left_at += goes_left * np.uint64(REF_BYTES)
         right_at += (np.uint64(1) - goes_left) * np.uint64(REF_BYTES)
         at += np.uint64(REF_BYTES)
-    to = address(bounds)
-    store(to, left)
-    store(to + np.uint64(REF_BYTES), left_centroids)
-    store(to + np.uint64(2 * REF_BYTES), right)
-    store(to + np.uint64(3 * REF_BYTES), right_centroids)
+    store_sides(address(bounds), sides)

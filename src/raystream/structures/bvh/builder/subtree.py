@@ -13,6 +13,7 @@ from raystream.structures.bvh.builder.binary_tree import (
     push_pending,
     put_node,
     split,
+    store_sides,
 )
 from raystream.structures.bvh.builder.binning import BINS_BYTES, SUMS_BYTES
 from raystream.structures.bvh.builder.collapse import collapse_subtree
@@ -44,7 +45,7 @@ def split_once(refs, begin, end, use_sides, bounds, part_bounds):
     if begin == end:
         return begin
     centroids = load(f32x8, address(bounds) + np.uint64(REF_BYTES))
-    middle, left, left_centroids, right, right_centroids = split(
+    middle, sides = split(
         address(refs),
         np.int32(begin),
         np.int32(end),
@@ -54,11 +55,7 @@ def split_once(refs, begin, end, use_sides, bounds, part_bounds):
         scratch(BINS_BYTES),
         scratch(SUMS_BYTES),
     )
-    to = address(part_bounds)
-    store(to, left)
-    store(to + np.uint64(REF_BYTES), left_centroids)
-    store(to + np.uint64(2 * REF_BYTES), right)
-    store(to + np.uint64(3 * REF_BYTES), right_centroids)
+    store_sides(address(part_bounds), sides)
     return np.int64(middle)
 
 
@@ -103,15 +100,16 @@ def grow_subtree(tree, begin, end, depth, bounds, settings, costs, root_costs):
         if last - first <= small:
             continue
         node, level = pending.node, pending.depth
-        middle, left, left_centroids, right, right_centroids = split(
+        middle, sides = split(
             ref_at, first, last, pending.centroids, level < sah_depth, plain_size, bins, sums
         )
         link = Link(link_at, np.uint64(node))
         link.left, link.right = node_end, np.int32(node_end + 1)
-        put_node(box_at, link_at, node_end, left, first, middle)
-        put_node(box_at, link_at, node_end + 1, right, middle, last)
-        top = push_pending(stack, top, right_centroids, node_end + 1, middle, last, level + 1)
-        top = push_pending(stack, top, left_centroids, node_end, first, middle, level + 1)
+        put_node(box_at, link_at, node_end, sides.left, first, middle)
+        put_node(box_at, link_at, node_end + 1, sides.right, middle, last)
+        centroids, level = sides.right_centroids, level + 1
+        top = push_pending(stack, top, centroids, node_end + 1, middle, last, level)
+        top = push_pending(stack, top, sides.left_centroids, node_end, first, middle, level)
         node_end = np.int32(node_end + 2)
     merged = collapse_subtree(box_at, link_at, root, node_end, settings, address(costs))
     store(address(root_costs), merged)

@@ -146,22 +146,16 @@ def write_trees(begin, end, trees, deferred, write, tree, corners, wide):
     wide : BvhArrays
         Written.
     """
-    ref_at, corner_at, box_at, link_at = (
-        address(tree.refs),
-        address(corners),
-        address(tree.boxes),
-        address(tree.links),
-    )
+    ref_at, corner_at = address(tree.refs), address(corners)
+    box_at, link_at = address(tree.boxes), address(tree.links)
     node_at, leaf_at = address(wide.nodes), address(wide.leaves)
-    first_nodes, first_blocks, counts = trees.first_nodes, trees.first_blocks, trees.counts
-    deferred_nodes, deferred_rows, deferred_depths = deferred.nodes, deferred.rows, deferred.depths
     stack = scratch(_PENDING_STACK_BYTES)
     listing = scratch(LISTING_BYTES)
     children = scratch(_CHILDREN_BYTES)
-    defers = len(deferred_nodes) != 0
+    defers = len(deferred.nodes) != 0
     for task in range(np.uint64(begin), np.uint64(end)):
-        node_end = np.int32(first_nodes[task])
-        block_end = np.int32(first_blocks[task])
+        node_end = np.int32(trees.first_nodes[task])
+        block_end = np.int32(trees.first_blocks[task])
         first_node, first_block = node_end, block_end
         deepest = np.int32(0)
         deferred_count = np.uint64(0)
@@ -192,26 +186,21 @@ def write_trees(begin, end, trees, deferred, write, tree, corners, wide):
                 is_top = Link(link_at, np.uint64(child)).is_top != np.int32(0)
                 box = box_at + np.uint64(child) * np.uint64(REF_BYTES)
                 if is_leaf(link_at, child):
-                    ref = ref_at + np.uint64(load(np.int32, box + np.uint64(FIRST_AT))) * np.uint64(
-                        REF_BYTES
-                    )
+                    first = np.uint64(load(np.int32, box + np.uint64(FIRST_AT)))
                     count = load(np.int32, box + np.uint64(COUNT_AT))
                     blocks = np.int32((count + np.int32(BLOCK_SIZE - 1)) >> np.int32(2))
                     if write:
                         set_lane(to, k, box, ~((block_end << np.int32(3)) | (blocks - np.int32(1))))
-                        _write_leaf(
-                            ref,
-                            count,
-                            corner_at,
-                            leaf_at + np.uint64(block_end) * BLOCK,
-                        )
+                        ref = ref_at + first * np.uint64(REF_BYTES)
+                        to_leaf = leaf_at + np.uint64(block_end) * BLOCK
+                        _write_leaf(ref, count, corner_at, to_leaf)
                     block_end = np.int32(block_end + blocks)
                 elif defers and not is_top:
                     if write:
-                        set_lane(to, k, box, deferred_rows[deferred_count])
+                        set_lane(to, k, box, deferred.rows[deferred_count])
                     else:
-                        deferred_nodes[deferred_count] = child
-                        deferred_depths[deferred_count] = depth
+                        deferred.nodes[deferred_count] = child
+                        deferred.depths[deferred_count] = depth
                     deferred_count += np.uint64(1)
                 else:
                     if write:
@@ -225,7 +214,6 @@ def write_trees(begin, end, trees, deferred, write, tree, corners, wide):
                 pending.row, pending.depth = np.int32(node_end + np.int32(k)), depth
             node_end = np.int32(node_end + inner_count)
         if not write:
-            counts[task, 0] = node_end - first_node
-            counts[task, 1] = block_end - first_block
-            counts[task, 2] = deepest
-            counts[task, 3] = deferred_count
+            counts = trees.counts[task]
+            counts[0], counts[1] = node_end - first_node, block_end - first_block
+            counts[2], counts[3] = deepest, deferred_count
