@@ -90,7 +90,7 @@ def _sift_down(out, first, count, hole, t, u, v, prim_id):
     put_hit(out, first + hole, t, u, v, prim_id)
 
 
-@device_call
+@device
 def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
     """Keep a hit if it is among the `capacity` nearest ones so far.
 
@@ -113,9 +113,19 @@ def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
     t_far : float32
         Hits beyond are not wanted any more.
     """
+    if count == capacity and not is_before(t, prim_id, t_of(out, first), _prim_id_of(out, first)):
+        return count, t_of(out, first)
+    if capacity == ONE_U64:  # known when a query of the nearest hit is compiled
+        put_hit(out, first, t, u, v, prim_id)
+        return ONE_U64, t
+    return _insert(out, first, count, capacity, t, u, v, prim_id, t_far)
+
+
+@device_call
+def _insert(out, first, count, capacity, t, u, v, prim_id, t_far):
+    """Write a hit that is kept; see `keep_hit`."""
     if count == capacity:
-        if is_before(t, prim_id, t_of(out, first), _prim_id_of(out, first)):
-            _sift_down(out, first, count, np.uint64(0), t, u, v, prim_id)
+        _sift_down(out, first, count, ZERO_U64, t, u, v, prim_id)
         return count, t_of(out, first)
     put_hit(out, first + count, t, u, v, prim_id)
     count += ONE_U64
@@ -250,34 +260,6 @@ def _changed(search, count, t_far):
 
 
 @device
-def _offer_to(hits, search, t, u, v, prim_id):
-    if hits is None:
-        return _changed(search, search.hit_count + ONE_U64, search.t_far)
-    row = search.first_row
-    if (
-        search.capacity == ONE_U64
-    ):  # without a call: known when a query of the nearest hit is compiled
-        if search.hit_count == ZERO_U64 or is_before(
-            t, prim_id, t_of(hits, row), _prim_id_of(hits, row)
-        ):
-            put_hit(hits, row, t, u, v, prim_id)
-            return _changed(search, ONE_U64, t)
-        return _changed(search, ONE_U64, search.t_far)
-    count, t_far = keep_hit(
-        hits,
-        row,
-        search.hit_count,
-        search.capacity,
-        t,
-        u,
-        v,
-        prim_id,
-        search.t_far,
-    )
-    return _changed(search, count, t_far)
-
-
-@device
 def offer(search, t, u, v, prim_id):
     """Keep or count a hit, unless a filter ignores it.
 
@@ -297,7 +279,9 @@ def offer(search, t, u, v, prim_id):
     number = _number(search.instance, prim_id)
     if not keeps(search.filter, t, u, v, number):
         return search
-    return _offer_within(search.instance, search, t, u, v, number)
+    found = _with_hit(search.hits, search, _told(search.instance, t), u, v, number)
+    t_far = _limited(search.hits, search.instance, search.t_far, found)
+    return _changed(search, found.hit_count, t_far)
 
 
 @device
@@ -309,12 +293,21 @@ def _number(instance, prim_id):
 
 
 @device
-def _offer_within(instance, search, t, u, v, number):
+def _told(instance, t):
+    """The distance of a hit as it is kept."""
     if instance is None:
-        return _offer_to(search.hits, search, t, u, v, number)
-    world = world_t(t, instance.t_scale, instance.t_offset)
-    found = _offer_to(search.hits, search, world, u, v, number)
-    return _changed(search, found.hit_count, _limited(search.hits, instance, search.t_far, found))
+        return t
+    return world_t(t, instance.t_scale, instance.t_offset)
+
+
+@device
+def _with_hit(hits, search, t, u, v, prim_id):
+    """The same search with another hit, and t_far as hits are kept."""
+    count, capacity, t_far = search.hit_count, search.capacity, search.t_far
+    if hits is None:
+        return _changed(search, count + ONE_U64, t_far)
+    count, t_far = keep_hit(hits, search.first_row, count, capacity, t, u, v, prim_id, t_far)
+    return _changed(search, count, t_far)
 
 
 @device
@@ -322,6 +315,8 @@ def _limited(hits, instance, t_far, search):
     """The farthest t in object space that the hits kept leave of an interval up to t_far."""
     if hits is None or search.hit_count != search.capacity:
         return t_far
+    if instance is None:
+        return search.t_far
     farthest = t_of(hits, search.first_row)
     return min(t_far, local_limit(farthest, instance.t_scale, instance.t_offset))
 
