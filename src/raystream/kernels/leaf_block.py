@@ -23,11 +23,8 @@ from raystream.jit.simd import (
     i32x4,
     load,
     mask_bits,
-    maximum,
-    minimum,
     popcount,
     scratch,
-    select,
     store,
 )
 from raystream.jit.threads import parallel_for
@@ -36,8 +33,10 @@ from raystream.kernels.aligned import aligned_array
 from raystream.kernels.ray import component
 from raystream.kernels.search import is_full, offer
 from raystream.kernels.triangle_lanes import (
+    extents,
     intersect_lanes,
     plane_distance,
+    planes_along,
     shear_vertices,
     signs_agree,
     slab_interval,
@@ -264,21 +263,8 @@ def test_block(block, ray, t_min, t_far, surfaces, lanes):
     candidates = signs_agree(sheared)
     if not any_lane(candidates):
         return ZERO_U64
-    low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
-    low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
-    low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
-    back_x, back_y, back_z = ray.inv[0] < ZERO_F32, ray.inv[1] < ZERO_F32, ray.inv[2] < ZERO_F32
-    box = slab_interval(
-        select(back_x, high_x, low_x),
-        select(back_y, high_y, low_y),
-        select(back_z, high_z, low_z),
-        select(back_x, low_x, high_x),
-        select(back_y, low_y, high_y),
-        select(back_z, low_z, high_z),
-        ray.inv,
-        ray.near,
-        ray.far,
-    )
+    back = ray.inv[0] < ZERO_F32, ray.inv[1] < ZERO_F32, ray.inv[2] < ZERO_F32
+    box = slab_interval(planes_along(*extents(a, b, c), back), ray.inv, ray.near, ray.far)
     plane, then = ((a, b, c, o, ray.direction), plane_distance), ((lanes,), _store_hits)
     return intersect_lanes(sheared, candidates, box, (t_min, t_far), plane, surfaces, then)
 

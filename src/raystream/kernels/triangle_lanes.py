@@ -77,13 +77,13 @@ def signs_agree(sheared):
 
 
 @device
-def slab_interval(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
+def slab_interval(planes, inv, near, far):
     """Padded slab interval of boxes: `kernels.slab.box_interval` with the planes chosen.
 
     Parameters
     ----------
-    near_x, near_y, near_z, far_x, far_y, far_z : float32 vector
-        The first and the last plane of each axis along the ray.
+    planes : tuple of six float32 vectors
+        Near x, y, z and far x, y, z planes along the ray; see `planes_along`.
     inv, near, far : tuple of three float32 vectors or numbers
         Reciprocal direction and slab constants of each axis.
 
@@ -92,14 +92,49 @@ def slab_interval(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
     t_in, t_out : float32 vector
     """
     t_in = maximum(
-        maximum(fma(near_x, inv[0], near[0]), fma(near_y, inv[1], near[1])),
-        fma(near_z, inv[2], near[2]),
+        maximum(fma(planes[0], inv[0], near[0]), fma(planes[1], inv[1], near[1])),
+        fma(planes[2], inv[2], near[2]),
     )
     t_out = minimum(
-        minimum(fma(far_x, inv[0], far[0]), fma(far_y, inv[1], far[1])),
-        fma(far_z, inv[2], far[2]),
+        minimum(fma(planes[3], inv[0], far[0]), fma(planes[4], inv[1], far[1])),
+        fma(planes[5], inv[2], far[2]),
     )
     return t_in, t_out
+
+
+@device
+def planes_along(low, high, back):
+    """The planes of boxes as rays of a direction meet them.
+
+    Parameters
+    ----------
+    low, high : tuple of three float32 vectors or numbers
+        Corners.
+    back : tuple of three bool
+        Whether the rays' directions are negative.
+
+    Returns
+    -------
+    tuple of six float32 vectors or numbers
+        Near x, y, z and far x, y, z planes.
+    """
+    return (
+        select(back[0], high[0], low[0]),
+        select(back[1], high[1], low[1]),
+        select(back[2], high[2], low[2]),
+        select(back[0], low[0], high[0]),
+        select(back[1], low[1], high[1]),
+        select(back[2], low[2], high[2]),
+    )
+
+
+@device
+def extents(a, b, c):
+    """Low and high corners of the boxes of triangles, whose corners are given."""
+    low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
+    low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
+    low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
+    return (low_x, low_y, low_z), (high_x, high_y, high_z)
 
 
 @device

@@ -280,7 +280,7 @@ def _search_row(field, row, column, ray, line, search, block):
     high_z = maximum(maximum(a, b), maximum(c, d))
     back = ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO
     t_in, t_out = slab_interval(
-        *_box(x, y, (low_z, high_z), back),
+        _box(x, y, (low_z, high_z), back),
         (ray.inv_x, ray.inv_y, ray.inv_z),
         (ray.near_x, ray.near_y, ray.near_z),
         (ray.far_x, ray.far_y, ray.far_z),

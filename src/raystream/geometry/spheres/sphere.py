@@ -291,7 +291,7 @@ def intersect_spheres(block, ray, exact, search):
         spheres, exact, (ray.inv_x < ZERO_F32, ray.inv_y < ZERO_F32, ray.inv_z < ZERO_F32)
     )
     interval = slab_interval(
-        *box,
+        box,
         (ray.inv_x, ray.inv_y, ray.inv_z),
         (ray.near_x, ray.near_y, ray.near_z),
         (ray.far_x, ray.far_y, ray.far_z),

@@ -182,15 +182,16 @@ def store_block(memory, order, first, last, wants_any, out):
 
 
 @device
-def interval(low_x, low_y, low_z, high_x, high_y, high_z, inv, low, high):
-    """Padded slab interval of boxes, for any direction.
+def interval(corners, inv, low, high):
+    """Padded slab interval of boxes, given by their low and high corners, for any direction.
 
     The same numbers as those of `slab_interval` with the planes chosen: rounding keeps the order of
     the two distances of an axis.
     """
-    x_1, x_2 = fma(low_x, inv[0], low[0]), fma(high_x, inv[0], high[0])
-    y_1, y_2 = fma(low_y, inv[1], low[1]), fma(high_y, inv[1], high[1])
-    z_1, z_2 = fma(low_z, inv[2], low[2]), fma(high_z, inv[2], high[2])
+    a, b = corners
+    x_1, x_2 = fma(a[0], inv[0], low[0]), fma(b[0], inv[0], high[0])
+    y_1, y_2 = fma(a[1], inv[1], low[1]), fma(b[1], inv[1], high[1])
+    z_1, z_2 = fma(a[2], inv[2], low[2]), fma(b[2], inv[2], high[2])
     t_in = maximum(maximum(minimum(x_1, x_2), minimum(y_1, y_2)), minimum(z_1, z_2))
     t_out = minimum(minimum(maximum(x_1, x_2), maximum(y_1, y_2)), maximum(z_1, z_2))
     return t_in, t_out
