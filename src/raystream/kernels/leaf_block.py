@@ -296,7 +296,7 @@ def intersect_block(block, ray, search, t_in, t_out):
     Search
     """
     lanes = scratch(64)
-    bits = test_block(block, ray, t_in, min(search.t_far, t_out), search.surfaces, lanes)
+    bits = test_block(block, ray, t_in, min(search.t_far, t_out), search.goal.surfaces, lanes)
     while bits != ZERO_U64:
         at = count_trailing_zeros(bits) << SHIFT_32
         bits &= bits - ONE_U64
