@@ -10,7 +10,6 @@ from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     any_lane,
-    count_trailing_zeros,
     f64x16,
     load,
     mask_bits,
@@ -41,6 +40,7 @@ from raystream.structures.bvh.ray_groups.rays import (
     Cold,
     Hot,
     axis_kinds,
+    copy_limits,
     in_frame,
     interval,
 )
@@ -128,12 +128,8 @@ class GroupLeaf(NamedTuple):
 def _keep_lanes(taken, t, u, v, leaf, memory, g, prim_id):
     """Keep hits of a group with a triangle; returns 1 if there was a nearer one, else 0."""
     bits = offer_lanes(leaf.lanes_best(leaf, memory, g), taken, t, u, v, prim_id)
-    hit_count, limits = np.uint64(bits != ZERO_U64), GroupLanes(memory, g).t
-    while bits != ZERO_U64:
-        k = count_trailing_zeros(bits)
-        bits &= bits - ONE_U64
-        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
-    return hit_count
+    copy_limits(memory, g, bits)
+    return np.uint64(bits != ZERO_U64)
 
 
 @device

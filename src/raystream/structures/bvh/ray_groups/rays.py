@@ -8,6 +8,7 @@ from raystream.jit.constants import ONE_U64, THREE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     bits_as_float,
+    count_trailing_zeros,
     fma,
     i32x16,
     load,
@@ -28,6 +29,7 @@ from raystream.structures.bvh.packets.rays import (
     GROUPS,
     PACKET_RAYS,
     Group,
+    GroupLanes,
     group_entry,
     group_rows,
     store_group,
@@ -135,7 +137,7 @@ def load_block(memory, source, first, last, has_filter):
     """Load packets first to last; list the groups with a ray that can hit anything, at `LISTS_AT`.
 
     With a filter, the groups' places are written, and their distances are those of rays that took
-    the slow path: see `packets.filters.block_filter`.
+    the slow path: see `packets.filters.PacketFilter`.
 
     Returns
     -------
@@ -179,6 +181,16 @@ def store_block(memory, order, first, last, wants_any, out):
             is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
             store_group(memory + g * _GROUP_BYTES, ray, length, is_slow, wants_any, out)
             g += ONE_U64
+
+
+@device
+def copy_limits(memory, g, bits):
+    """Copy the limits of some rays of a group to their records."""
+    limits = GroupLanes(memory, g).t
+    while bits != ZERO_U64:
+        k = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
 
 
 @device

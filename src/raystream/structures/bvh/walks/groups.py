@@ -101,13 +101,9 @@ def _push(stack, top, node, small, lanes, room, hit_count, tree):
         lane = np.uint64(lanes.keys[k] & KEY_LANES)
         prefetch_child(children[lane], tree.nodes, tree.leaves)
         entry = _Entry(stack, top)
-        entry.child, entry.count, entry.list = (
-            children[lane],
-            np.uint32(lanes.count[lane]),
-            lanes.list[lane],
-        )
-        entry.room, entry.t_in = room, lanes.t_in[lane]
-        entry.hit_count, entry.ray_count = np.uint32(hit_count), lanes.ray_count[lane]
+        entry.child, entry.list, entry.room = children[lane], lanes.list[lane], room
+        entry.count, entry.ray_count = np.uint32(lanes.count[lane]), lanes.ray_count[lane]
+        entry.t_in, entry.hit_count = lanes.t_in[lane], np.uint32(hit_count)
         top += ONE_U64
     return top
 
