@@ -128,7 +128,9 @@ def run_pass(
             block = states.block[i]
             add_to(tally, TESTS, triangle_count(block))
             count, to = states.count[i], rows_of(out)
-            search = Search(t_min, t_far, count, capacity, to, first, surfaces, tally, None, None)
+            search = Search(
+                t_min, t_far, count, SearchGoal(capacity, to, first, surfaces), tally, None, None
+            )
             search = intersect_block(block, line, search, t_min, _INF)
             states.count[i], states.t_far[i] = search.hit_count, search.t_far
             states.block[i] = block + BLOCK

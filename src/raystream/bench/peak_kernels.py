@@ -47,17 +47,9 @@ def test_nodes(begin, end, nodes, count, times, source, frame, found):
         for _ in range(times):
             for k in range(count):
                 planes = Node(nodes, k).planes
-                t_in, t_out = slab_interval(
-                    planes[x],
-                    planes[y],
-                    planes[z],
-                    planes[x ^ ONE_U64],
-                    planes[y ^ ONE_U64],
-                    planes[z ^ ONE_U64],
-                    inv,
-                    near,
-                    far,
-                )
+                first = planes[x], planes[y], planes[z]
+                box = (*first, planes[x ^ ONE_U64], planes[y ^ ONE_U64], planes[z ^ ONE_U64])
+                t_in, t_out = slab_interval(box, inv, near, far)
                 entered = maximum(t_in, start.t_min) <= minimum(t_out, start.t_max)
                 entered_count += popcount(mask_bits(entered))
     found[0] += entered_count

@@ -14,6 +14,8 @@ Crossings = Literal["triangles", "surfaces"]
 #: Orders of a ray's hits: see `Tracer.trace`.
 Order = Literal["front-to-back", "any"]
 
+_CROSSINGS, _ORDERS = get_args(Crossings), get_args(Order)
+
 
 class Kind(IntEnum):
     """Kinds of query; shaders know them by these numbers."""
@@ -61,7 +63,7 @@ def counts_surfaces(crossings: str) -> bool:
     ValueError
         If it is neither ``"triangles"`` nor ``"surfaces"``.
     """
-    _check("crossings", crossings, get_args(Crossings))
+    _check("crossings", crossings, _CROSSINGS)
     return crossings == "surfaces"
 
 
@@ -73,7 +75,7 @@ def is_front_to_back(order: str) -> bool:
     ValueError
         If it is neither ``"front-to-back"`` nor ``"any"``.
     """
-    _check("order", order, get_args(Order))
+    _check("order", order, _ORDERS)
     return order == "front-to-back"
 
 

@@ -23,8 +23,6 @@ from raystream.jit.simd import (
     i32x4,
     load,
     mask_bits,
-    maximum,
-    minimum,
     popcount,
     scratch,
     store,
@@ -36,6 +34,7 @@ from raystream.kernels.ray import component
 from raystream.kernels.search import is_full, offer
 from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle_lanes import (
+    extents,
     intersect_lanes,
     plane_distance,
     planes_along,
@@ -265,12 +264,8 @@ def test_block(block, ray, t_min, t_far, surfaces, lanes):
     candidates = signs_agree(sheared)
     if not any_lane(candidates):
         return ZERO_U64
-    low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
-    low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
-    low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
     back = ray.inv[0] < ZERO_F32, ray.inv[1] < ZERO_F32, ray.inv[2] < ZERO_F32
-    planes = planes_along((low_x, low_y, low_z), (high_x, high_y, high_z), back)
-    box = slab_interval(*planes, ray.inv, ray.near, ray.far)
+    box = slab_interval(planes_along(*extents(a, b, c), back), ray.inv, ray.near, ray.far)
     plane, then = ((a, b, c, o, ray.direction), plane_distance), ((lanes,), _store_hits)
     return intersect_lanes(sheared, candidates, box, (t_min, t_far), plane, surfaces, then)
 
@@ -302,7 +297,7 @@ def intersect_block(block, ray, search, t_in, t_out):
     Search
     """
     lanes = scratch(64)
-    bits = test_block(block, ray, t_in, min(search.t_far, t_out), search.surfaces, lanes)
+    bits = test_block(block, ray, t_in, min(search.t_far, t_out), search.goal.surfaces, lanes)
     while bits != ZERO_U64:
         at = count_trailing_zeros(bits) << SHIFT_32
         bits &= bits - ONE_U64

@@ -22,7 +22,7 @@ from raystream.kernels.hit_filter import HitFilter, RayFilter
 from raystream.kernels.hits import HitAddresses, Sink, hit_addresses
 from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
 from raystream.kernels.ray_source import RaySource, load_ray
-from raystream.kernels.search import SearchGoal, begin_search, sort_hits
+from raystream.kernels.search import SearchGoal, begin_search, put_hit, sort_hits, t_of
 from raystream.kernels.tally import SHADINGS, add_to, tally_of
 
 _INF = np.float32(np.inf)
@@ -170,14 +170,10 @@ def searches_of(search_ray: Callable[..., Any]) -> RaySearches:
 @device
 def _finish_first(out, i, count, ray):
     """Convert the t of ray i's hit to world direction lengths, or write a miss."""
-    at = i << SHIFT_32
     if count == ZERO_U64:
-        store(out.t + at, _INF)
-        store(out.u + at, _ZERO)
-        store(out.v + at, _ZERO)
-        store(out.prim_id + at, _MISS)
+        put_hit(out, i, _INF, _ZERO, _ZERO, _MISS)
     else:
-        store(out.t + at, world_t(load(np.float32, out.t + at), ray.t_scale, ray.t_offset))
+        _tell(out, i, ray)
 
 
 @device
@@ -186,8 +182,13 @@ def _finish_rows(hits, first, count, ray, sorts):
     if sorts:
         sort_hits(hits, first, count)
     for row in range(first, first + count):
-        at = hits.t + (row << SHIFT_32)
-        store(at, world_t(load(np.float32, at), ray.t_scale, ray.t_offset))
+        _tell(hits, row, ray)
+
+
+@device
+def _tell(hits, row, ray):
+    """Convert the t of a row to world direction lengths."""
+    store(hits.t + (row << SHIFT_32), world_t(t_of(hits, row), ray.t_scale, ray.t_offset))
 
 
 class CountAddresses(NamedTuple):

@@ -90,7 +90,7 @@ def _sift_down(out, first, count, hole, t, u, v, prim_id):
     put_hit(out, first + hole, t, u, v, prim_id)
 
 
-@device_call
+@device
 def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
     """Keep a hit if it is among the `capacity` nearest ones so far.
 
@@ -113,9 +113,19 @@ def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
     t_far : float32
         Hits beyond are not wanted any more.
     """
+    if count == capacity and not is_before(t, prim_id, t_of(out, first), _prim_id_of(out, first)):
+        return count, t_of(out, first)
+    if capacity == ONE_U64:  # known when a query of the nearest hit is compiled
+        put_hit(out, first, t, u, v, prim_id)
+        return ONE_U64, t
+    return _insert(out, first, count, capacity, t, u, v, prim_id, t_far)
+
+
+@device_call
+def _insert(out, first, count, capacity, t, u, v, prim_id, t_far):
+    """Write a hit that is kept; see `keep_hit`."""
     if count == capacity:
-        if is_before(t, prim_id, t_of(out, first), _prim_id_of(out, first)):
-            _sift_down(out, first, count, np.uint64(0), t, u, v, prim_id)
+        _sift_down(out, first, count, ZERO_U64, t, u, v, prim_id)
         return count, t_of(out, first)
     put_hit(out, first + count, t, u, v, prim_id)
     count += ONE_U64
@@ -166,8 +176,29 @@ class InstanceRay(NamedTuple):
     first_id: np.int32
 
 
+class SearchGoal(NamedTuple):
+    """The goal of one ray's search.
+
+    Attributes
+    ----------
+    capacity : uint64
+        Most hits to find, at least 1.
+    hits : HitAddresses or None
+        The nearest hits; None if hits are only counted.
+    first_row : uint64
+        The first of this ray's `capacity` rows of `hits`.
+    surfaces : bool
+        The rule at edges and vertices, see `kernels.triangle.intersect`.
+    """
+
+    capacity: np.uint64
+    hits: HitAddresses | None
+    first_row: np.uint64
+    surfaces: bool
+
+
 class Search(NamedTuple):
-    """The goal of a ray's search, and its results so far.
+    """A ray's search: its goal, and its results so far.
 
     Addresses and numbers only: an array member costs two atomic operations per new search.
 
@@ -177,14 +208,7 @@ class Search(NamedTuple):
         Closed interval in which a hit is wanted; t_far decreases as hits are kept.
     hit_count : uint64
         Hits kept or counted.
-    capacity : uint64
-        Most hits to find, at least 1.
-    hits : HitAddresses or None
-        The nearest hits; None if hits are only counted.
-    first_row : uint64
-        The first of this ray's `capacity` rows of `hits`.
-    surfaces : bool
-        The rule at edges and vertices, see `kernels.triangle.intersect`.
+    goal : SearchGoal
     counters : uint64 or None
         Address of the ray's counts, see `kernels.tally`.
     filter : RayFilter or None
@@ -197,84 +221,23 @@ class Search(NamedTuple):
     t_min: np.float32
     t_far: np.float32
     hit_count: np.uint64
-    capacity: np.uint64
-    hits: HitAddresses | None
-    first_row: np.uint64
-    surfaces: bool
+    goal: SearchGoal
     counters: np.uint64 | None
     filter: RayFilter | None
     instance: InstanceRay | None
 
 
-class SearchGoal(NamedTuple):
-    """The goal of one ray's search; see `Search`."""
-
-    capacity: np.uint64
-    hits: HitAddresses | None
-    first_row: np.uint64
-    surfaces: bool
-
-
 @device
 def begin_search(t_min, t_max, goal, counters, filter_, instance):
-    """A search for a `SearchGoal`, without hits; see `Search` for the arguments."""
-    return Search(
-        t_min,
-        t_max,
-        ZERO_U64,
-        goal.capacity,
-        goal.hits,
-        goal.first_row,
-        goal.surfaces,
-        counters,
-        filter_,
-        instance,
-    )
+    """A search without hits; see `Search` for the arguments."""
+    return Search(t_min, t_max, ZERO_U64, goal, counters, filter_, instance)
 
 
 @device
 def _changed(search, count, t_far):
     """The same search with other results."""
-    return Search(
-        search.t_min,
-        t_far,
-        count,
-        search.capacity,
-        search.hits,
-        search.first_row,
-        search.surfaces,
-        search.counters,
-        search.filter,
-        search.instance,
-    )
-
-
-@device
-def _offer_to(hits, search, t, u, v, prim_id):
-    if hits is None:
-        return _changed(search, search.hit_count + ONE_U64, search.t_far)
-    row = search.first_row
-    if (
-        search.capacity == ONE_U64
-    ):  # without a call: known when a query of the nearest hit is compiled
-        if search.hit_count == ZERO_U64 or is_before(
-            t, prim_id, t_of(hits, row), _prim_id_of(hits, row)
-        ):
-            put_hit(hits, row, t, u, v, prim_id)
-            return _changed(search, ONE_U64, t)
-        return _changed(search, ONE_U64, search.t_far)
-    count, t_far = keep_hit(
-        hits,
-        row,
-        search.hit_count,
-        search.capacity,
-        t,
-        u,
-        v,
-        prim_id,
-        search.t_far,
-    )
-    return _changed(search, count, t_far)
+    goal, counters, filter_ = search.goal, search.counters, search.filter
+    return Search(search.t_min, t_far, count, goal, counters, filter_, search.instance)
 
 
 @device
@@ -297,7 +260,9 @@ def offer(search, t, u, v, prim_id):
     number = _number(search.instance, prim_id)
     if not keeps(search.filter, t, u, v, number):
         return search
-    return _offer_within(search.instance, search, t, u, v, number)
+    found = _with_hit(search.goal.hits, search, _told(search.instance, t), u, v, number)
+    t_far = _limited(search.goal.hits, search.instance, search.t_far, found)
+    return _changed(search, found.hit_count, t_far)
 
 
 @device
@@ -309,20 +274,32 @@ def _number(instance, prim_id):
 
 
 @device
-def _offer_within(instance, search, t, u, v, number):
+def _told(instance, t):
+    """The distance of a hit as it is kept."""
     if instance is None:
-        return _offer_to(search.hits, search, t, u, v, number)
-    world = world_t(t, instance.t_scale, instance.t_offset)
-    found = _offer_to(search.hits, search, world, u, v, number)
-    return _changed(search, found.hit_count, _limited(search.hits, instance, search.t_far, found))
+        return t
+    return world_t(t, instance.t_scale, instance.t_offset)
+
+
+@device
+def _with_hit(hits, search, t, u, v, prim_id):
+    """The same search with another hit, and t_far as hits are kept."""
+    goal, count, t_far = search.goal, search.hit_count, search.t_far
+    if hits is None:
+        return _changed(search, count + ONE_U64, t_far)
+    first, capacity = goal.first_row, goal.capacity
+    count, t_far = keep_hit(hits, first, count, capacity, t, u, v, prim_id, t_far)
+    return _changed(search, count, t_far)
 
 
 @device
 def _limited(hits, instance, t_far, search):
     """The farthest t in object space that the hits kept leave of an interval up to t_far."""
-    if hits is None or search.hit_count != search.capacity:
+    if hits is None or search.hit_count != search.goal.capacity:
         return t_far
-    farthest = t_of(hits, search.first_row)
+    if instance is None:
+        return search.t_far
+    farthest = t_of(hits, search.goal.first_row)
     return min(t_far, local_limit(farthest, instance.t_scale, instance.t_offset))
 
 
@@ -343,18 +320,9 @@ def enter_instance(search, ray, first_id):
     Search
     """
     instance = InstanceRay(ray.t_scale, ray.t_offset, first_id)
-    return Search(
-        ray.t_min,
-        _limited(search.hits, instance, ray.t_max, search),
-        search.hit_count,
-        search.capacity,
-        search.hits,
-        search.first_row,
-        search.surfaces,
-        search.counters,
-        _moved_filter(search.filter, ray),
-        instance,
-    )
+    t_far = _limited(search.goal.hits, instance, ray.t_max, search)
+    filter_, count = _moved_filter(search.filter, ray), search.hit_count
+    return Search(ray.t_min, t_far, count, search.goal, search.counters, filter_, instance)
 
 
 @device
@@ -368,7 +336,7 @@ def _moved_filter(filter_, ray):
 @device
 def leave_instance(search, inner):
     """The search of the instances, with the results of the search in one of them."""
-    t_far = _limited(search.hits, search.instance, search.t_far, inner)
+    t_far = _limited(search.goal.hits, search.instance, search.t_far, inner)
     return _changed(search, inner.hit_count, t_far)
 
 
@@ -380,7 +348,7 @@ def _is_counted(hits):
 @device
 def is_full(search):
     """Whether no further hit can change the result: the traversal returns."""
-    return search.hit_count == search.capacity and _is_counted(search.hits)
+    return search.hit_count == search.goal.capacity and _is_counted(search.goal.hits)
 
 
 @device
@@ -389,10 +357,10 @@ def is_over(search, t_out):
 
     For traversals that visit cells in order. A counting search is over when it `is_full`.
     """
-    return search.hit_count == search.capacity and search.t_far < t_out
+    return search.hit_count == search.goal.capacity and search.t_far < t_out
 
 
 @device
 def wants_any(search):
     """Whether this is an any-hit search."""
-    return search.capacity == ONE_U64 and _is_counted(search.hits)
+    return search.goal.capacity == ONE_U64 and _is_counted(search.goal.hits)

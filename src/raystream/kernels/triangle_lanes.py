@@ -78,13 +78,13 @@ def signs_agree(sheared):
 
 
 @device
-def slab_interval(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
+def slab_interval(planes, inv, near, far):
     """Padded slab interval of boxes: `kernels.slab.box_interval` with the planes chosen.
 
     Parameters
     ----------
-    near_x, near_y, near_z, far_x, far_y, far_z : float32 vector
-        The first and the last plane of each axis along the ray.
+    planes : tuple of six float32 vectors
+        Near x, y, z and far x, y, z planes along the ray; see `planes_along`.
     inv, near, far : tuple of three float32 vectors or numbers
         Reciprocal direction and slab constants of each axis.
 
@@ -93,12 +93,12 @@ def slab_interval(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
     t_in, t_out : float32 vector
     """
     t_in = maximum(
-        maximum(fma(near_x, inv[0], near[0]), fma(near_y, inv[1], near[1])),
-        fma(near_z, inv[2], near[2]),
+        maximum(fma(planes[0], inv[0], near[0]), fma(planes[1], inv[1], near[1])),
+        fma(planes[2], inv[2], near[2]),
     )
     t_out = minimum(
-        minimum(fma(far_x, inv[0], far[0]), fma(far_y, inv[1], far[1])),
-        fma(far_z, inv[2], far[2]),
+        minimum(fma(planes[3], inv[0], far[0]), fma(planes[4], inv[1], far[1])),
+        fma(planes[5], inv[2], far[2]),
     )
     return t_in, t_out
 
@@ -134,11 +134,20 @@ def boxes_interval(ray, low, high):
     """Padded slab interval of boxes for one `kernels.ray.Ray`; `low` and `high` are corners."""
     back = ray.inv_x < ZERO_F32, ray.inv_y < ZERO_F32, ray.inv_z < ZERO_F32
     return slab_interval(
-        *planes_along(low, high, back),
+        planes_along(low, high, back),
         (ray.inv_x, ray.inv_y, ray.inv_z),
         (ray.near_x, ray.near_y, ray.near_z),
         (ray.far_x, ray.far_y, ray.far_z),
     )
+
+
+@device
+def extents(a, b, c):
+    """Low and high corners of the boxes of triangles, whose corners are given."""
+    low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
+    low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
+    low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
+    return (low_x, low_y, low_z), (high_x, high_y, high_z)
 
 
 @device

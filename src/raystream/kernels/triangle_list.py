@@ -39,7 +39,7 @@ def intersect_list(references, corners, begin, end, ray, search, t_in, t_out):
         add_to(search.counters, TESTS, ONE_U64)
         prim_id = load(np.int32, at)
         at += np.uint64(4)
-        hit, t, u, v = intersect(ray, triangles, np.uint64(prim_id), search.surfaces)
+        hit, t, u, v = intersect(ray, triangles, np.uint64(prim_id), search.goal.surfaces)
         # Written so that a NaN would fail.
         if hit and t >= t_in and t < t_out and t <= search.t_far:
             search = offer(search, t, u, v, prim_id)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
+from raystream.jit.entries import entry_of
 from raystream.jit.threads import Progress, check_stopped, parallel_for, part_of, thread_count
-from raystream.kernels.aligned import ALIGNMENT, aligned_array
+from raystream.kernels.aligned import ALIGNMENT, aligned_array, array_address
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.race import LEAST_RACE, Races, run_fastest
@@ -169,13 +170,15 @@ def run_calls(
         check_stopped()
         trace(first, end, *arguments)
         return
+    if count > size:
+        trace = entry_of(trace, (first, end, *arguments, *((0,) if memory_bytes else ())))
 
     def body(low: int, high: int) -> None:
         if not memory_bytes:
             trace(first + low, first + high, *arguments)
             return
         memory = _memory_of(memory_bytes)
-        trace(first + low, first + high, *arguments, memory.ctypes.data)
+        trace(first + low, first + high, *arguments, array_address(memory))
         if len(_spare) < _MOST_SPARE and memory.nbytes <= _MOST_SPARE_BYTES:
             _spare.append(memory)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
+from raystream.kernels.aligned import array_address
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
@@ -53,7 +54,7 @@ class Batch(NamedTuple):
 
     def packets(self, frame: SceneFrame) -> PacketSource:
         """The rays as packets."""
-        status = np.uint64(self.sink.status.ctypes.data)
+        status = np.uint64(array_address(self.sink.status))
         return PacketSource(self.source, self.order, frame, status)
 
 

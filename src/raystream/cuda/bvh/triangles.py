@@ -88,7 +88,7 @@ def search_triangles(tree, link, ray, search, _stack):
         a = lane(first, 0), lane(first, 1), lane(first, 2)
         b = lane(first, 3), lane(second, 0), lane(second, 1)
         c = lane(second, 2), lane(second, 3), lane(third, 0)
-        hit, t, u, v = intersect_corners(ray, a, b, c, search.surfaces)
+        hit, t, u, v = intersect_corners(ray, a, b, c, search.goal.surfaces)
         # Written so that a NaN would fail.
         if hit and t >= search.t_min and t <= search.t_far:
             search = offer(search, t, u, v, lane(float_as_bits(third), 1))

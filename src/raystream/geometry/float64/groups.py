@@ -34,7 +34,6 @@ from raystream.geometry.float64.leaf import (
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
-    count_trailing_zeros,
     load,
     scratch,
 )
@@ -52,12 +51,11 @@ from raystream.structures.bvh.ray_groups.queries import group_kernel
 from raystream.structures.bvh.ray_groups.rays import (
     FLAGS_AT,
     GROUP_SHIFT,
-    HOT_AT,
     LANE_SHIFT,
     LAST_LANE,
     LISTS_AT,
     MEMORY_BYTES,
-    Hot,
+    copy_limits,
     load_block,
 )
 from raystream.structures.bvh.walks.groups import STREAM_STACK_BYTES, trace_block
@@ -91,18 +89,8 @@ def _load_rays(memory, source, first, last):
             at = memory + _GROUPS_AT + g * GROUP_BYTES
             load_rays(at, source, ray, length, is_slow, local)
             if is_slow:  # some may have become inactive
-                _copy_limits(memory, g, _ALL)
+                copy_limits(memory, g, _ALL)
             g += ONE_U64
-
-
-@device
-def _copy_limits(memory, g, bits):
-    """Copy the limits of some rays of a group to their records."""
-    limits = GroupLanes(memory, g).t
-    while bits != ZERO_U64:
-        k = count_trailing_zeros(bits)
-        bits &= bits - ONE_U64
-        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
 
 
 @device
@@ -120,7 +108,7 @@ def _test_groups(leaf, block, groups, count, memory):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
             bits = test_group(leaf, memory, g, None, triangle, shape, prim_id)
             hit_count += np.uint64(bits != ZERO_U64)
-            _copy_limits(memory, g, bits)
+            copy_limits(memory, g, bits)
     return hit_count
 
 
@@ -133,7 +121,7 @@ def _test_rays(leaf, block, rays, count, memory):
         g, k = number >> LANE_SHIFT, number & LAST_LANE
         if test_one(leaf, memory, g, k, block, triangles):
             hit_count += ONE_U64
-            _copy_limits(memory, g, ONE_U64 << k)
+            copy_limits(memory, g, ONE_U64 << k)
     return hit_count
 
 

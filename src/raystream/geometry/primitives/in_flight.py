@@ -20,7 +20,7 @@ from raystream.jit.views import address_of
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import prepare_ray
 from raystream.kernels.ray_source import load_direction, load_origin, load_ray
-from raystream.kernels.search import Search
+from raystream.kernels.search import Search, SearchGoal
 from raystream.structures.bvh.node_layout import leaf_address, t_key
 from raystream.structures.bvh.walks.in_flight import NO_PRIM, SLOT, wavefront_kernel
 
@@ -58,8 +58,8 @@ def _search_of(slot):
     at = address_of(slot)
     hits = HitAddresses(at + _T, at + _U, at + _V, at + _PRIM_ID)
     # It has a hit already: if of no primitive, at the end of the interval.
-    one, none = ONE_U64, ZERO_U64
-    return Search(slot.t_min, slot.t, one, one, hits, none, False, None, None, None)
+    goal = SearchGoal(ONE_U64, hits, ZERO_U64, False)
+    return Search(slot.t_min, slot.t, ONE_U64, goal, None, None, None)
 
 
 @device

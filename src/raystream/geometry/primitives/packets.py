@@ -132,7 +132,7 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
         for g in range(entering.first, entering.last + ONE_U64):
             group, exact = Group(packet, g), _Exact(leaf.memory, g)
             inv, near, far = three(group.inv), three(group.near), three(group.far)
-            interval = slab_interval(*planes, inv, near, far)
+            interval = slab_interval(planes, inv, near, far)
             t_min, t_far = group.t_min, group.t_active
             if not any_lane(maximum(interval[0], t_min) <= minimum(interval[1], t_far)):
                 continue

@@ -9,7 +9,7 @@ import numpy as np
 
 from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device
-from raystream.kernels.search import Search, sort_hits
+from raystream.kernels.search import Search, SearchGoal, sort_hits
 from raystream.kernels.tally import SHADINGS
 from raystream.machines.records import DONE, RayState, count_step
 
@@ -78,18 +78,8 @@ def resume_search(hits, ray, wanted, found, query):
     -------
     Search
     """
-    return Search(
-        ray.t_min,
-        found.t_far,
-        np.uint64(found.count),
-        wanted.capacity,
-        hits,
-        wanted.first,
-        query.surfaces,
-        None,
-        None,
-        None,
-    )
+    goal = SearchGoal(wanted.capacity, hits, wanted.first, query.surfaces)
+    return Search(ray.t_min, found.t_far, np.uint64(found.count), goal, None, None, None)
 
 
 @device

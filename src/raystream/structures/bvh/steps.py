@@ -150,17 +150,10 @@ def enter(node, line, t_min, t_far):
     at_x = node + _first_planes(line.axis[0], line.inv[0])
     at_y = node + _first_planes(line.axis[1], line.inv[1])
     at_z = node + _first_planes(line.axis[2], line.inv[2])
-    t_in, t_out = slab_interval(
-        load(f32x8, at_x),
-        load(f32x8, at_y),
-        load(f32x8, at_z),
-        load(f32x8, at_x ^ BOX_FLIP),
-        load(f32x8, at_y ^ BOX_FLIP),
-        load(f32x8, at_z ^ BOX_FLIP),
-        line.inv,
-        line.near,
-        line.far,
-    )
+    near = load(f32x8, at_x), load(f32x8, at_y), load(f32x8, at_z)
+    at_x, at_y, at_z = at_x ^ BOX_FLIP, at_y ^ BOX_FLIP, at_z ^ BOX_FLIP
+    planes = (*near, load(f32x8, at_x), load(f32x8, at_y), load(f32x8, at_z))
+    t_in, t_out = slab_interval(planes, line.inv, line.near, line.far)
     entered = maximum(t_in, t_min) <= minimum(t_out, t_far)
     # Only the bits of positive numbers are in the numbers' order.
     keys = (float_as_bits(maximum(t_in, ZERO_F32)) & _KEY_BITS) | lane_numbers(i32x8)

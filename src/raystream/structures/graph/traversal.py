@@ -31,7 +31,7 @@ _INDEX = np.uint64(2)  # a number's four bytes, as a shift
 def _note_end(graph, search, sector):
     """Write the sector of a first hit: that in which its search ends."""
     if graph.ends != NULL and search.hit_count != ZERO_U64:
-        store(graph.ends + (search.first_row << _INDEX), sector_number(graph, sector))
+        store(graph.ends + (search.goal.first_row << _INDEX), sector_number(graph, sector))
 
 
 @device
@@ -41,7 +41,7 @@ def traverse(graph, ray, search, stack):
     if not is_active:
         return search
     line, triangle_ray = sector_ray(ray), block_ray(ray)
-    sector = near_sector(graph, line, ray, t_in, search.first_row, stack)
+    sector = near_sector(graph, line, ray, t_in, search.goal.first_row, stack)
     while True:
         add_to(search.counters, STEPS, ONE_U64)
         face = exit_face(line, sector)

@@ -34,7 +34,6 @@ from raystream.structures.bvh.packets.rays import (
     GroupLanes,
     GroupPlaces,
     first_ray,
-    group_places,
     t_transform,
     world_lanes,
 )
@@ -52,8 +51,8 @@ class PacketFilter(NamedTuple):
     filter : HitFilter
     places : GroupPlaces
     slow_groups : uint64
-        Bits of the groups with a ray that took the slow path, see `packets.load.load_packet`; those
-        of more than 64 groups are all alike.
+        Bits of the groups with a ray that took the slow path, see `packets.load.load_packet`. The
+        groups of a block are all as of such rays.
     """
 
     filter: HitFilter
@@ -62,26 +61,11 @@ class PacketFilter(NamedTuple):
 
 
 @device
-def packet_filter(filter_, order, number, slow_groups):
-    """The `PacketFilter` of a packet; None without a filter."""
+def packet_filter(filter_, places, slow_groups):
+    """The `PacketFilter` of a packet, or of a block of groups; None without a filter."""
     if filter_ is None:
         return None
-    return PacketFilter(filter_, group_places(order, number), slow_groups)
-
-
-@device
-def block_filter(filter_, table):
-    """The `PacketFilter` of a block of groups that are all as of rays that took the slow path.
-
-    Parameters
-    ----------
-    filter_ : HitFilter or None
-    table : uint64
-        Address of the groups' entries, as in `PacketOrder.table`.
-    """
-    if filter_ is None:
-        return None
-    return PacketFilter(filter_, GroupPlaces(table, ZERO_U64, ZERO_U64), ~ZERO_U64)
+    return PacketFilter(filter_, places, slow_groups)
 
 
 @device

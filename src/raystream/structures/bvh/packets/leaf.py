@@ -11,12 +11,10 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import (
     any_lane,
     count_trailing_zeros,
-    f32x16,
     mask_bits,
     maximum,
     minimum,
     popcount,
-    select,
 )
 from raystream.jit.views import address_of, view
 from raystream.kernels.leaf_block import (
@@ -30,15 +28,17 @@ from raystream.kernels.leaf_block import (
     test_block,
 )
 from raystream.kernels.triangle_lanes import (
+    extents,
     intersect_lanes,
     plane_distance,
+    planes_along,
     shear_vertices,
     signs_agree,
     slab_interval,
 )
 from raystream.structures.bvh.node_layout import NodeLanes, leaf_address, leaf_end
 from raystream.structures.bvh.packets.filters import PacketFilter
-from raystream.structures.bvh.packets.rays import Group, GroupLanes, three
+from raystream.structures.bvh.packets.rays import Group, GroupLanes, in_all_lanes, three
 
 #: Scratch of a leaf: planes of the boxes of a block's four triangles, by axis, and hits of one ray;
 #: and the same with a lane index.
@@ -132,31 +132,15 @@ def box_planes(node, lane, rays):
     """Near x, y, z and far x, y, z planes of a child's box, for a `RayClass`."""
     x, y, z = rays.x, rays.y, rays.z
     planes = NodeLanes(node).planes
-    return (
-        planes[x.near, lane],
-        planes[y.near, lane],
-        planes[z.near, lane],
-        planes[x.far, lane],
-        planes[y.far, lane],
-        planes[z.far, lane],
-    )
+    near = planes[x.near, lane], planes[y.near, lane], planes[z.near, lane]
+    return (*near, planes[x.far, lane], planes[y.far, lane], planes[z.far, lane])
 
 
 @device
 def _group_interval(group, planes):
     """Slab interval of a box for the 16 rays of a group."""
-    near_x, near_y, near_z, far_x, far_y, far_z = planes
-    return slab_interval(
-        f32x16(near_x),
-        f32x16(near_y),
-        f32x16(near_z),
-        f32x16(far_x),
-        f32x16(far_y),
-        f32x16(far_z),
-        three(group.inv),
-        three(group.near),
-        three(group.far),
-    )
+    planes = in_all_lanes(*planes[:3]) + in_all_lanes(*planes[3:])
+    return slab_interval(planes, three(group.inv), three(group.near), three(group.far))
 
 
 @device
@@ -190,22 +174,22 @@ def group_range(packet, planes, t_min, groups):
 
 
 @device
-def extent(block, axis):
-    """Low and high coordinates of four triangles along an axis."""
+def vertices(block, x, y, z):
+    """The vertices of a block's four triangles, with the axes in this order."""
     corners = block.corners
-    a, b, c = corners[_FIRST, axis], corners[_SECOND, axis], corners[_THIRD, axis]
-    return minimum(minimum(a, b), c), maximum(maximum(a, b), c)
+    a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
+    b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
+    c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
+    return a, b, c
 
 
 @device
 def _own_planes(planes, block, rays):
     """Write near and far planes of the boxes of four triangles."""
-    x, y, z = rays.x, rays.y, rays.z
     near, far = planes.near, planes.far
-    for axis in range(np.uint64(3)):
-        low, high = extent(block, axis)
-        back = x.back if axis == _X else (y.back if axis == _Y else z.back)
-        near[axis], far[axis] = select(back, high, low), select(back, low, high)
+    low, high = extents(*vertices(block, _X, _Y, _Z))
+    own = planes_along(low, high, (rays.x.back, rays.y.back, rays.z.back))
+    near[_X], near[_Y], near[_Z], far[_X], far[_Y], far[_Z] = own
 
 
 @device
@@ -236,27 +220,16 @@ def _test_triangle(leaf, packet, g, at, lane, rays, own):
     c = corners[_THIRD, kx, lane], corners[_THIRD, ky, lane], corners[_THIRD, kz, lane]
     origin = group.origin[kx], group.origin[ky], group.origin[kz]
     direction, shear = group.direction, group.shear
-    sheared = shear_vertices(
-        (f32x16(a[0]), f32x16(a[1]), f32x16(a[2])),
-        (f32x16(b[0]), f32x16(b[1]), f32x16(b[2])),
-        (f32x16(c[0]), f32x16(c[1]), f32x16(c[2])),
-        origin,
-        (shear[_X], shear[_Y]),
-    )
+    wide = in_all_lanes(*a), in_all_lanes(*b), in_all_lanes(*c)
+    sheared = shear_vertices(*wide, origin, (shear[_X], shear[_Y]))
     # Signs of edge functions first: most triangles of a leaf are missed by all 16 rays.
     candidates = signs_agree(sheared)
     if not any_lane(candidates):
         return False
     # Hits count within the triangle's own padded box only, so that no structure decides them.
     near, far = planes.near, planes.far
-    box = (
-        near[_X, lane],
-        near[_Y, lane],
-        near[_Z, lane],
-        far[_X, lane],
-        far[_Y, lane],
-        far[_Z, lane],
-    )
+    entered = near[_X, lane], near[_Y, lane], near[_Z, lane]
+    box = (*entered, far[_X, lane], far[_Y, lane], far[_Z, lane])
     interval, limits = _group_interval(group, box), (group.t_min, group.t_active)
     along = direction[kx], direction[ky], direction[kz]
     plane, surfaces = ((a, b, c, origin, along), plane_distance), leaf.kind.surfaces

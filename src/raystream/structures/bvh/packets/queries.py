@@ -13,7 +13,7 @@ from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.bvh.leaf_kinds import nearest_leaf
 from raystream.structures.bvh.packets.filters import packet_filter
 from raystream.structures.bvh.packets.load import load_packet
-from raystream.structures.bvh.packets.rays import GROUPS, PACKET_BYTES, store_packet
+from raystream.structures.bvh.packets.rays import GROUPS, PACKET_BYTES, group_places, store_packet
 from raystream.structures.bvh.walks.packet import TRACE_BYTES, trace_packet
 
 _LEAST_BYTES = 64
@@ -124,7 +124,7 @@ class NearestWanted(NamedTuple):
 
 @device
 def _begin_nearest(packet, number, slow_groups, source, wanted, state):
-    mine = packet_filter(wanted.filter, source.order, number, slow_groups)
+    mine = packet_filter(wanted.filter, group_places(source.order, number), slow_groups)
     return nearest_leaf(wanted.wants_any, mine)
 
 

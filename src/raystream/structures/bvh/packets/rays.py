@@ -218,6 +218,12 @@ def three(rows):
 
 
 @device
+def in_all_lanes(x, y, z):
+    """Three numbers as vectors."""
+    return f32x16(x), f32x16(y), f32x16(z)
+
+
+@device
 def _reported(group):
     """Reported distances of a group without slow-path rays; inf for a miss."""
     t = world_lanes(group.t, group.t_scale)

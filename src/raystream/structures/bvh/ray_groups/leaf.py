@@ -10,8 +10,6 @@ from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     any_lane,
-    count_trailing_zeros,
-    f32x16,
     f64x16,
     load,
     mask_bits,
@@ -22,6 +20,7 @@ from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes
 from raystream.kernels.leaf_block import BLOCK, HITS, Block, BlockLanes, HitLanes
 from raystream.kernels.triangle_lanes import (
     distance_along,
+    extents,
     intersect_lanes,
     plane_normal,
     shear_vertices,
@@ -29,8 +28,8 @@ from raystream.kernels.triangle_lanes import (
 )
 from raystream.structures.bvh.node_layout import LANE, leaf_address, leaf_end
 from raystream.structures.bvh.packets.filters import lanes_filter, ray_filter
-from raystream.structures.bvh.packets.leaf import extent
-from raystream.structures.bvh.packets.rays import GROUP, Group, GroupLanes, three
+from raystream.structures.bvh.packets.leaf import vertices
+from raystream.structures.bvh.packets.rays import GROUP, Group, GroupLanes, in_all_lanes, three
 from raystream.structures.bvh.ray_groups.rays import (
     COLD_AT,
     GROUP_SHIFT,
@@ -41,6 +40,7 @@ from raystream.structures.bvh.ray_groups.rays import (
     Cold,
     Hot,
     axis_kinds,
+    copy_limits,
     in_frame,
     interval,
 )
@@ -65,25 +65,20 @@ SMALL_BYTES = _SMALL.itemsize
 
 @device
 def _corner_in_frame(is_y, is_z, corners, corner, lane):
-    return in_frame(
-        is_y,
-        is_z,
-        f32x16(corners[corner, _X, lane]),
-        f32x16(corners[corner, _Y, lane]),
-        f32x16(corners[corner, _Z, lane]),
-    )
+    x, y, z = corners[corner, _X, lane], corners[corner, _Y, lane], corners[corner, _Z, lane]
+    return in_frame(is_y, is_z, *in_all_lanes(x, y, z))
 
 
 @device
 def _extent_of(corners, axis, lane):
     a, b, c = corners[_FIRST, axis, lane], corners[_SECOND, axis, lane], corners[_THIRD, axis, lane]
-    return f32x16(min(min(a, b), c)), f32x16(max(max(a, b), c))
+    return min(min(a, b), c), max(max(a, b), c)
 
 
 @device
 def _write_normals(block, small):
     normal = small.normal
-    normal[_X], normal[_Y], normal[_Z] = plane_normal(*_vertices(block.corners, _X, _Y, _Z))
+    normal[_X], normal[_Y], normal[_Z] = plane_normal(*vertices(block, _X, _Y, _Z))
 
 
 @device
@@ -93,19 +88,9 @@ def _axes(hot):
 
 
 @device
-def _vertices(corners, x, y, z):
-    """The vertices of a block's four triangles, with the axes in this order."""
-    a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
-    b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
-    c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
-    return a, b, c
-
-
-@device
 def _sheared(hot, cold, block):
     """The vertices of a block's four triangles in a ray's frame."""
-    vertices = _vertices(block.corners, *_axes(hot))
-    return shear_vertices(*vertices, hot.origin, (hot.sx, cold.sy))
+    return shear_vertices(*vertices(block, *_axes(hot)), hot.origin, (hot.sx, cold.sy))
 
 
 @device
@@ -143,12 +128,8 @@ class GroupLeaf(NamedTuple):
 def _keep_lanes(taken, t, u, v, leaf, memory, g, prim_id):
     """Keep hits of a group with a triangle; returns 1 if there was a nearer one, else 0."""
     bits = offer_lanes(leaf.lanes_best(leaf, memory, g), taken, t, u, v, prim_id)
-    hit_count, limits = np.uint64(bits != ZERO_U64), GroupLanes(memory, g).t
-    while bits != ZERO_U64:
-        k = count_trailing_zeros(bits)
-        bits &= bits - ONE_U64
-        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
-    return hit_count
+    copy_limits(memory, g, bits)
+    return np.uint64(bits != ZERO_U64)
 
 
 @device
@@ -196,7 +177,8 @@ def _test_with_group(leaf, g, memory, block, lane, normal):
     low_y, high_y = _extent_of(corners, _Y, lane)
     low_z, high_z = _extent_of(corners, _Z, lane)
     inv, low, high = three(group.inv), three(group.near), three(group.far)
-    box = interval(low_x, low_y, low_z, high_x, high_y, high_z, inv, low, high)
+    corners = in_all_lanes(low_x, low_y, low_z), in_all_lanes(high_x, high_y, high_z)
+    box = interval(corners, inv, low, high)
     limits, plane = (group.t_min, group.t), ((is_y, is_z, a, normal, lane, group), _group_distance)
     then = (leaf, memory, g, block.prim_ids[lane]), _keep_lanes
     return intersect_lanes(sheared, candidates, box, limits, plane, False, then)
@@ -233,14 +215,12 @@ def _with_rays(leaf, block, rays, count, memory, small):
 
     # Step 2: test these exactly, with the normals of the block's planes, which all rays share.
     hit_count = ZERO_U64
-    low_x, high_x = extent(block, _X)
-    low_y, high_y = extent(block, _Y)
-    low_z, high_z = extent(block, _Z)
+    corners = extents(*vertices(block, _X, _Y, _Z))
     _write_normals(block, small)
     for j in range(candidate_count):
         number = np.uint64(load(np.uint32, hits + j * LANE))
         hot, cold = Hot(hots, number), Cold(colds, number)
-        box = interval(low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high)
+        box = interval(corners, hot.inv, hot.low, hot.high)
         sheared = _sheared(hot, cold, block)
         signs, limits = signs_agree(sheared), (hot.t_min, hot.t)
         plane = (hot, cold, block, small), _distances

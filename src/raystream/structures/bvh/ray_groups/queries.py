@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import scratch
-from raystream.structures.bvh.packets.filters import block_filter
+from raystream.structures.bvh.packets.filters import packet_filter
+from raystream.structures.bvh.packets.rays import GroupPlaces
 from raystream.structures.bvh.ray_groups.leaf import SMALL_BYTES, Small, nearest_leaf
 from raystream.structures.bvh.ray_groups.rays import (
     BLOCK_PACKETS,
@@ -58,18 +60,14 @@ def group_kernel(load: Any, trace: Any, finish: Any, block_packets: int) -> Any:
 
 @device
 def _load(memory, source, first, last, scene, wanted):
-    return load_block(memory, source, first, last, _has_filter(wanted.filter))
-
-
-@device
-def _has_filter(filter_):
-    return filter_ is not None
+    return load_block(memory, source, first, last, wanted.filter is not None)
 
 
 @device
 def _trace(memory, count, ray_count, scene, source, wanted):
     stack, small, groups = scratch(STREAM_STACK_BYTES), scratch(SMALL_BYTES), memory + LISTS_AT
-    leaf = nearest_leaf(wanted.wants_any, block_filter(wanted.filter, memory + PLACES_AT))
+    places = GroupPlaces(memory + PLACES_AT, ZERO_U64, ZERO_U64)
+    leaf = nearest_leaf(wanted.wants_any, packet_filter(wanted.filter, places, ~ZERO_U64))
     trace_block(memory, groups, count, ray_count, scene, stack, Small(small), leaf)
 
 

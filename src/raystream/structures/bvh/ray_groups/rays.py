@@ -8,6 +8,7 @@ from raystream.jit.constants import ONE_U64, THREE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     bits_as_float,
+    count_trailing_zeros,
     fma,
     i32x16,
     load,
@@ -28,6 +29,7 @@ from raystream.structures.bvh.packets.rays import (
     GROUPS,
     PACKET_RAYS,
     Group,
+    GroupLanes,
     group_entry,
     group_rows,
     store_group,
@@ -135,7 +137,7 @@ def load_block(memory, source, first, last, has_filter):
     """Load packets first to last; list the groups with a ray that can hit anything, at `LISTS_AT`.
 
     With a filter, the groups' places are written, and their distances are those of rays that took
-    the slow path: see `packets.filters.block_filter`.
+    the slow path: see `packets.filters.PacketFilter`.
 
     Returns
     -------
@@ -182,15 +184,26 @@ def store_block(memory, order, first, last, wants_any, out):
 
 
 @device
-def interval(low_x, low_y, low_z, high_x, high_y, high_z, inv, low, high):
-    """Padded slab interval of boxes, for any direction.
+def copy_limits(memory, g, bits):
+    """Copy the limits of some rays of a group to their records."""
+    limits = GroupLanes(memory, g).t
+    while bits != ZERO_U64:
+        k = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
+
+
+@device
+def interval(corners, inv, low, high):
+    """Padded slab interval of boxes, given by their low and high corners, for any direction.
 
     The same numbers as those of `slab_interval` with the planes chosen: rounding keeps the order of
     the two distances of an axis.
     """
-    x_1, x_2 = fma(low_x, inv[0], low[0]), fma(high_x, inv[0], high[0])
-    y_1, y_2 = fma(low_y, inv[1], low[1]), fma(high_y, inv[1], high[1])
-    z_1, z_2 = fma(low_z, inv[2], low[2]), fma(high_z, inv[2], high[2])
+    a, b = corners
+    x_1, x_2 = fma(a[0], inv[0], low[0]), fma(b[0], inv[0], high[0])
+    y_1, y_2 = fma(a[1], inv[1], low[1]), fma(b[1], inv[1], high[1])
+    z_1, z_2 = fma(a[2], inv[2], low[2]), fma(b[2], inv[2], high[2])
     t_in = maximum(maximum(minimum(x_1, x_2), minimum(y_1, y_2)), minimum(z_1, z_2))
     t_out = minimum(minimum(maximum(x_1, x_2), maximum(y_1, y_2)), maximum(z_1, z_2))
     return t_in, t_out

@@ -52,7 +52,7 @@ from raystream.structures.bvh.node_layout import (
     prefetch_child,
     sort_keys,
 )
-from raystream.structures.bvh.packets.rays import Group, three
+from raystream.structures.bvh.packets.rays import Group, in_all_lanes, three
 from raystream.structures.bvh.ray_groups.leaf import SmallLanes
 from raystream.structures.bvh.ray_groups.rays import (
     GROUP_SHIFT,
@@ -67,6 +67,7 @@ from raystream.structures.bvh.ray_groups.rays import (
 #: Fewer rays than this per group, on average, continue as single rays.
 _FEW = np.uint64(10)
 _LANES, _WIDTH = np.uint64(16), np.uint64(8)
+_FOUR, _FIVE = np.uint64(4), np.uint64(5)
 _KEY_BITS = np.int32(~7)
 _LEAST_KEY = np.int32(-(2**31))
 
@@ -100,13 +101,9 @@ def _push(stack, top, node, small, lanes, room, hit_count, tree):
         lane = np.uint64(lanes.keys[k] & KEY_LANES)
         prefetch_child(children[lane], tree.nodes, tree.leaves)
         entry = _Entry(stack, top)
-        entry.child, entry.count, entry.list = (
-            children[lane],
-            np.uint32(lanes.count[lane]),
-            lanes.list[lane],
-        )
-        entry.room, entry.t_in = room, lanes.t_in[lane]
-        entry.hit_count, entry.ray_count = np.uint32(hit_count), lanes.ray_count[lane]
+        entry.child, entry.list, entry.room = children[lane], lanes.list[lane], room
+        entry.count, entry.ray_count = np.uint32(lanes.count[lane]), lanes.ray_count[lane]
+        entry.t_in, entry.hit_count = lanes.t_in[lane], np.uint32(hit_count)
         top += ONE_U64
     return top
 
@@ -122,25 +119,15 @@ def _visit_with_groups(node, groups, count, memory, small, lanes, room):
     for lane in range(_WIDTH):
         if children[lane] == np.int32(0):
             break
-        low_x, high_x = f32x16(planes[ZERO_U64, lane]), f32x16(planes[ONE_U64, lane])
-        low_y, high_y = f32x16(planes[TWO_U64, lane]), f32x16(planes[THREE_U64, lane])
-        low_z, high_z = f32x16(planes[np.uint64(4), lane]), f32x16(planes[np.uint64(5), lane])
+        low = in_all_lanes(planes[ZERO_U64, lane], planes[TWO_U64, lane], planes[_FOUR, lane])
+        high = in_all_lanes(planes[ONE_U64, lane], planes[THREE_U64, lane], planes[_FIVE, lane])
         least = f32x16(INF_F32)
         written, ray_count = ZERO_U64, ZERO_U64
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
             group = Group(memory, g)
-            t_in, t_out = interval(
-                low_x,
-                low_y,
-                low_z,
-                high_x,
-                high_y,
-                high_z,
-                three(group.inv),
-                three(group.near),
-                three(group.far),
-            )
+            inv, near, far = three(group.inv), three(group.near), three(group.far)
+            t_in, t_out = interval((low, high), inv, near, far)
             entered = maximum(t_in, group.t_min) <= minimum(t_out, group.t)
             least = select(entered, minimum(t_in, least), least)
             bits = mask_bits(entered)
@@ -157,16 +144,13 @@ def _visit_with_groups(node, groups, count, memory, small, lanes, room):
 def _visit_with_rays(node, rays, count, memory, small, lanes, hits, room):
     """The same with a list of rays."""
     planes = node.planes
-    low_x, high_x = planes[ZERO_U64], planes[ONE_U64]
-    low_y, high_y = planes[TWO_U64], planes[THREE_U64]
-    low_z, high_z = planes[np.uint64(4)], planes[np.uint64(5)]
+    low = planes[ZERO_U64], planes[TWO_U64], planes[_FOUR]
+    high = planes[ONE_U64], planes[THREE_U64], planes[_FIVE]
     is_used = node.children != np.int32(0)
     least = f32x8(INF_F32)
     for j in range(count):
         ray = Hot(memory + HOT_AT, np.uint64(load(np.uint32, rays + j * LANE)))
-        t_in, t_out = interval(
-            low_x, low_y, low_z, high_x, high_y, high_z, ray.inv, ray.low, ray.high
-        )
+        t_in, t_out = interval((low, high), ray.inv, ray.low, ray.high)
         entered = is_used & (maximum(t_in, ray.t_min) <= minimum(t_out, ray.t))
         least = select(entered, minimum(t_in, least), least)
         store(hits + j * LANE, np.uint32(mask_bits(entered)))

@@ -157,17 +157,9 @@ def visit_node(slot, node, keys, children, numbers):
     """Test a node's eight boxes and push those that are entered; returns the stack's height."""
     x, y, z = slot.planes
     planes = node.planes
-    t_in, t_out = slab_interval(
-        planes[x],
-        planes[y],
-        planes[z],
-        planes[x ^ ONE_U64],
-        planes[y ^ ONE_U64],
-        planes[z ^ ONE_U64],
-        slot.inv,
-        slot.near,
-        slot.far,
-    )
+    near = planes[x], planes[y], planes[z]
+    box = (*near, planes[x ^ ONE_U64], planes[y ^ ONE_U64], planes[z ^ ONE_U64])
+    t_in, t_out = slab_interval(box, slot.inv, slot.near, slot.far)
     entered = maximum(t_in, slot.t_min) <= minimum(t_out, slot.t)
     # Keys: entry distance with the lane in the lowest bits, at least 0 since only the bits of
     # positive numbers are in the numbers' order. Boxes that are missed sink to the end.
