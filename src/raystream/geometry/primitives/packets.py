@@ -24,7 +24,7 @@ from raystream.geometry.primitives.records import (
 from raystream.geometry.spheres.sphere import HIT, ExactRay, exact_ray, intersect, own_box, place
 from raystream.jit.constants import NULL, ONE_U64, THREE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import any_lane, lanes_from_bits, mask16, maximum, minimum, scratch
+from raystream.jit.simd import count_trailing_zeros, lanes_from_bits, mask16, scratch
 from raystream.jit.views import view
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import load_direction, load_origin
@@ -32,7 +32,7 @@ from raystream.kernels.triangle_lanes import slab_interval
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.leaf_kinds import no_prefetch
 from raystream.structures.bvh.node_layout import leaf_address, prefetch_child
-from raystream.structures.bvh.packets.leaf import GroupRange, TriangleLeaf, group_range
+from raystream.structures.bvh.packets.leaf import TriangleLeaf, entering_groups
 from raystream.structures.bvh.packets.load import load_packet
 from raystream.structures.bvh.packets.queries import PacketScene
 from raystream.structures.bvh.packets.rays import (
@@ -60,7 +60,7 @@ _Hits = view([(name, kind, 16) for name, kind in HIT])
 _HITS_BYTES = 16 * 40
 
 #: A node of a height field on the stack, and the groups that enter it.
-_Node = view([("level", "u4"), ("column", "u4"), ("row", "u4"), ("first", "u2"), ("last", "u2")])
+_Node = view([("level", "u4"), ("column", "u4"), ("row", "u4"), ("groups", "u4")])
 
 #: The link of a leaf of two blocks, of which the first one is the first of all.
 _TWO_BLOCKS = np.int32(~1)
@@ -120,14 +120,14 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
             break
         sphere = block.x[lane], block.y[lane], block.z[lane], block.radius[lane]
         planes = own_box(sphere, frame, back)
-        entering = group_range(packet, planes, rays.t_min, groups)
-        for g in range(entering.first, entering.last + ONE_U64):
+        entering = entering_groups(packet, planes, rays, groups)
+        while entering != ZERO_U64:
+            g = count_trailing_zeros(entering)
+            entering &= entering - ONE_U64
             group, exact = Group(packet, g), _Exact(leaf.memory, g)
             inv, near, far = three(group.inv), three(group.near), three(group.far)
             interval = slab_interval(*planes, inv, near, far)
             t_min, t_far = group.t_min, group.t_active
-            if not any_lane(maximum(interval[0], t_min) <= minimum(interval[1], t_far)):
-                continue
             origin, direction = three(exact.origin), three(exact.direction)
             inv_square, offset = exact.inv_square, exact.offset
             ray = ExactRay(origin, direction, inv_square, offset, frame.center, frame.scale)
@@ -152,8 +152,8 @@ def _push(stack, top, level, column, row, groups):
     """Push a node, if a group enters it; returns the stack's height."""
     node = _Node(stack, top)
     node.level, node.column, node.row = np.uint32(level), np.uint32(column), np.uint32(row)
-    node.first, node.last = np.uint16(groups.first), np.uint16(groups.last)
-    return top + np.uint64(groups.first <= groups.last)
+    node.groups = np.uint32(groups)
+    return top + np.uint64(groups != ZERO_U64)
 
 
 @device
@@ -169,7 +169,7 @@ def _visit_field(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: 
         top -= ONE_U64
         node = _Node(stack, top)
         number, column, row = np.uint64(node.level), np.uint64(node.column), np.uint64(node.row)
-        groups = GroupRange(np.uint64(node.first), np.uint64(node.last))
+        groups = np.uint64(node.groups)
         if number == ZERO_U64:
             has_hit |= _visit_cells(leaf, packet, field, column, row, turn_y, rays, groups, own)
             continue
@@ -179,7 +179,7 @@ def _visit_field(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: 
             lane = (THREE_U64 - k) ^ turn
             x, y = (column << ONE_U64) + (lane & ONE_U64), (row << ONE_U64) + (lane >> ONE_U64)
             planes = node_box(field, level, x, y, back)
-            entering = group_range(packet, planes, rays.t_min, groups)
+            entering = entering_groups(packet, planes, rays, groups)
             top = _push(stack, top, number, x, y, entering)
     return has_hit
 
@@ -193,7 +193,7 @@ def _visit_cells(leaf, packet, field, column, row, turn_y, rays, groups, own):
         at = row * _CELLS + (_CELLS - ONE_U64 - k if turn_y == ONE_U64 else k)
         if at < field.rows:
             planes = fill_row(field, at, column * _CELLS, back, blocks)
-            entering = group_range(packet, planes, rays.t_min, groups)
+            entering = entering_groups(packet, planes, rays, groups)
             has_hit |= to.visit(to, packet, _TWO_BLOCKS, blocks, planes, rays, entering, own)
     return has_hit
 
