@@ -131,7 +131,10 @@ def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
         put_triple(edges.p, p)
         put_triple(edges.q, q)
         put_triple(edges.n, n)
-        for g in range(groups.first, groups.last + ONE_U64):
+        left = groups
+        while left != ZERO_U64:
+            g = count_trailing_zeros(left)
+            left &= left - ONE_U64
             bits = entering_rays(packet, g, box, rays)
             if bits == ZERO_U64:
                 continue

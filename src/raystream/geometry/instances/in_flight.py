@@ -12,40 +12,28 @@ import numpy as np
 from raystream.core.rays import INVALID
 from raystream.geometry.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.geometry.instances.traversal import WorldRay, load_world_ray, object_ray, scene_ray
-from raystream.jit.constants import INF_F32, NULL, ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, NULL, ONE_F64, ONE_U64, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import (
-    i32x8,
-    lane_numbers,
-    load,
-    scratch,
-    store,
-)
+from raystream.jit.simd import scratch, store
 from raystream.jit.views import address_of, view
 from raystream.kernels.best import Best, best_views, offer_hits
-from raystream.kernels.leaf_block import BLOCK, HITS, BlockLanes, HitLanes, test_block
+from raystream.kernels.leaf_block import HITS, BlockLanes
 from raystream.kernels.ray import local_limit
-from raystream.structures.bvh.node_layout import (
-    LANE,
-    Node,
-    leaf_address,
-    leaf_end,
-    prefetch_child,
-    t_key,
-)
+from raystream.structures.bvh.node_layout import LANE, leaf_address, prefetch_child, t_key
 from raystream.structures.bvh.walks.in_flight import (
-    BOTTOM,
     IN_FLIGHT,
     NO_PRIM,
     NO_RAY,
     QUEUE_BYTES,
     SLOT,
     STACK,
+    append,
     filter_of,
     finish_ray,
+    item,
     next_child,
-    slot_ray,
     start_ray,
+    test_leaf,
     visit_node,
 )
 
@@ -61,32 +49,27 @@ _, _Best = best_views(_SLOT, limit="t", t="best_t", t_scale="t_scale", t_offset=
 
 #: Slots: those of the tree over the instances come first.
 _SLOTS = np.uint64(2) * IN_FLIGHT
-_SLOTS_BYTES = int(_SLOTS) * _SLOT.itemsize
-_STACK_BYTES = int(_SLOTS * STACK)
+_SLOTS_BYTES, _STACKS_BYTES = int(_SLOTS) * _SLOT.itemsize, int(_SLOTS * STACK)
 _HITS_BYTES = HITS.itemsize
-
-_WORD, _WORD_SHIFT = np.uint64(8), np.uint64(3)
-_LEAF_SHIFT = np.int32(3)
 
 
 @device
-def _start(slot, keys, children, i, source, frame, top, status):
+def _start(slot, stack, i, source, frame, top, status):
     """Put ray i into a slot, before the root of the tree over the instances."""
     ray, most, _ = scene_ray(load_world_ray(source, i), top, frame)
     if ray.status == INVALID:
         store(status + i, INVALID)
-    start_ray(slot, keys, children, i, ray, most)
+    start_ray(slot, stack, i, ray, most)
     slot.best_t = INF_F32
 
 
 @device
-def _enter(slot, inner, keys, children, source, objects):
+def _enter(slot, inner, stack, source, objects):
     """Put a ray into the slot for objects, before the root of its next instance's object.
 
     Returns whether anything is to be searched there.
     """
-    index = np.uint64(np.int32(~slot.child) >> _LEAF_SHIFT)
-    instance = InstanceRecord(slot.leaves, index)
+    instance = InstanceRecord(leaf_address(slot.leaves, slot.child))
     object_ = ObjectRecord(objects, np.uint64(instance.object_id))
     i = np.uint64(slot.ray)
     ox, oy, oz, dx, dy, dz, t_min, t_max = load_world_ray(source, i)
@@ -96,7 +79,7 @@ def _enter(slot, inner, keys, children, source, objects):
         far = min(far, local_limit(slot.best_t, ray.t_scale, ray.t_offset))
     if not (ray.t_min <= far) or object_.nodes == NULL:
         return False
-    start_ray(inner, keys, children, i, ray, object_.max_coordinate)
+    start_ray(inner, stack, i, ray, object_.max_coordinate)
     inner.t, inner.t_key = far, t_key(far)
     inner.nodes, inner.leaves, inner.first_id = object_.nodes, object_.leaves, instance.first_id
     prefetch_child(inner.child, inner.nodes, inner.leaves)
@@ -104,23 +87,15 @@ def _enter(slot, inner, keys, children, source, objects):
 
 
 @device
-def _visit_leaf(inner, slot, lanes_at, wants_any, filter_):
-    """Test the triangles of an object's leaf; returns whether the ray is done."""
-    at = leaf_address(inner.leaves, inner.child)
-    end = leaf_end(at, inner.child)
-    while at != end:
-        bits = test_block(at, slot_ray(inner), inner.t_min, inner.t, False, lanes_at)
-        if bits != ZERO_U64:
-            own = filter_of(filter_, inner)
-            best = Best(
-                _Best(address_of(inner)), _Best(address_of(slot)), inner.first_id, own, wants_any
-            )
-            if offer_hits(best, ZERO_U64, bits, HitLanes(lanes_at), BlockLanes(at).prim_ids):
-                if wants_any:
-                    return True
-                inner.t_key = t_key(inner.t)
-        at += BLOCK
-    return False
+def _keep(inner, at, bits, lanes, given):
+    """Keep the nearest hit of a ray in an object; see `walks.in_flight.test_leaf`."""
+    slot, wants_any, filter_ = given
+    of_ray, of_scene = _Best(address_of(inner)), _Best(address_of(slot))
+    best = Best(of_ray, of_scene, inner.first_id, filter_of(filter_, inner), wants_any)
+    is_kept = offer_hits(best, ZERO_U64, bits, lanes, BlockLanes(at).prim_ids)
+    if is_kept:
+        inner.t_key = t_key(inner.t)
+    return is_kept and wants_any
 
 
 @device
@@ -132,14 +107,6 @@ def _leave(slot, wants_any):
         far = min(slot.t, local_limit(slot.best_t, slot.t_scale, slot.t_offset))
         slot.t, slot.t_key = far, t_key(far)
     return slot.top
-
-
-@device
-def _finish(slot, wants_any, out):
-    """Write the result of a slot's ray, if it has one."""
-    slot.t, slot.t_scale, slot.t_offset = slot.best_t, np.float64(1.0), np.float64(0.0)
-    finish_ray(slot, wants_any, out)
-    slot.ray = NO_RAY
 
 
 @kernel
@@ -159,137 +126,85 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, filter_,
     filter_ : HitFilter or None
     out : ResultAddresses
     """
-    slots, lanes = scratch(_SLOTS_BYTES), scratch(_HITS_BYTES)
-    all_keys, all_children = scratch(_STACK_BYTES), scratch(_STACK_BYTES)
-    node, node_next = scratch(QUEUE_BYTES), scratch(QUEUE_BYTES)
-    leaf, leaf_next = scratch(QUEUE_BYTES), scratch(QUEUE_BYTES)
-    instance, instance_next = scratch(QUEUE_BYTES), scratch(QUEUE_BYTES)
+    slots, stacks = scratch(_SLOTS_BYTES), scratch(_STACKS_BYTES)
+    lanes = scratch(_HITS_BYTES)
+    # Slots by what their rays need next: a node of either tree, a leaf of an object, an instance,
+    # to leave an object, or nothing more.
+    node, leaf, instance = scratch(QUEUE_BYTES), scratch(QUEUE_BYTES), scratch(QUEUE_BYTES)
     left, done = scratch(QUEUE_BYTES), scratch(QUEUE_BYTES)
-    numbers = lane_numbers(i32x8)
+    node_count, leaf_count, instance_count = ZERO_U64, ZERO_U64, ZERO_U64
+    left_count, done_count = ZERO_U64, ZERO_U64
     ray_next, ray_end = np.uint64(begin), np.uint64(end)
-    # Lengths of the queues, in bytes.
-    node_size, leaf_size, instance_size = ZERO_U64, ZERO_U64, ZERO_U64
-    left_size, done_size = ZERO_U64, ZERO_U64
     tree = TreeRecord(top.trees)
     for k in range(IN_FLIGHT):
-        store(done + done_size, k)
-        done_size += _WORD
+        done_count = append(done, done_count, k, ONE_U64)
         slot = _Slot(slots, k)
         slot.ray, slot.nodes, slot.leaves = NO_RAY, tree.nodes, tree.leaves
 
     while True:
         # Step 1: write the results of finished rays and start new ones in their slots.
-        at = ZERO_U64
-        while at != done_size:
-            k = load(np.uint64, done + at)
-            at += _WORD
+        for j in range(done_count):
+            k = item(done, j)
             slot = _Slot(slots, k)
-            _finish(slot, wants_any, out)
+            # The reported t needs no conversion.
+            slot.t, slot.t_scale, slot.t_offset = slot.best_t, ONE_F64, ZERO_F64
+            finish_ray(slot, wants_any, out)
             if ray_next < ray_end:
-                keys, children = all_keys + k * STACK, all_children + k * STACK
-                _start(slot, keys, children, ray_next, source, frame, top, out.status)
+                _start(slot, stacks + k * STACK, ray_next, source, frame, top, out.status)
                 ray_next += ONE_U64
-                store(node + node_size, k)
-                node_size += _WORD
-        done_size = ZERO_U64
-        if node_size | leaf_size | instance_size == ZERO_U64:
+                node_count = append(node, node_count, k, ONE_U64)
+        done_count = ZERO_U64
+        if node_count | leaf_count | instance_count == ZERO_U64:
             break
 
-        # Step 2: visit a node of either tree for each ray that waits for one.
-        next_size, at = ZERO_U64, ZERO_U64
-        while at != node_size:
-            k = load(np.uint64, node + at)
-            at += _WORD
-            slot = _Slot(slots, k)
-            keys, children = all_keys + k * STACK, all_children + k * STACK
-            height = visit_node(
-                slot, Node(slot.nodes, np.uint64(slot.child)), keys, children, numbers
-            )
-            child = next_child(slot, height, keys, children, slot, True)
-            # Branchless: append the slot to all queues, and lengthen one of them.
+        # Step 2: visit a node of either tree for each ray that waits for one. A queue is written
+        # where it has been read already.
+        waiting, node_count = node_count, ZERO_U64
+        for j in range(waiting):
+            k = item(node, j)
+            slot, stack = _Slot(slots, k), stacks + k * STACK
+            height = visit_node(slot, slot.nodes, stack)
+            is_node, is_leaf, is_end = next_child(slot, height, stack, slot, True)
             is_inside = np.uint64(k >= IN_FLIGHT)
-            is_leaf = np.uint64(child < np.int32(0))
-            is_end = np.uint64(child == BOTTOM)
-            store(node_next + next_size, k)
-            store(leaf + leaf_size, k)
-            store(instance + instance_size, k)
-            store(left + left_size, k)
-            store(done + done_size, k)
-            next_size += ((is_leaf | is_end) ^ ONE_U64) << _WORD_SHIFT
-            leaf_size += (is_leaf & is_inside) << _WORD_SHIFT
-            instance_size += (is_leaf & ~is_inside) << _WORD_SHIFT
-            left_size += (is_end & is_inside) << _WORD_SHIFT
-            done_size += (is_end & ~is_inside) << _WORD_SHIFT
-        node, node_next = node_next, node
-        node_size = next_size
+            node_count = append(node, node_count, k, is_node)
+            leaf_count = append(leaf, leaf_count, k, is_leaf & is_inside)
+            instance_count = append(instance, instance_count, k, is_leaf & ~is_inside)
+            left_count = append(left, left_count, k, is_end & is_inside)
+            done_count = append(done, done_count, k, is_end & ~is_inside)
 
         # Step 3: test a leaf of an object for each ray that waits for one.
-        next_size, at = ZERO_U64, ZERO_U64
-        while at != leaf_size:
-            k = load(np.uint64, leaf + at)
-            at += _WORD
-            slot = _Slot(slots, k)
-            keys, children = all_keys + k * STACK, all_children + k * STACK
-            height = slot.top
-            if _visit_leaf(slot, _Slot(slots, k - IN_FLIGHT), lanes, wants_any, filter_):
-                height = LANE
-            child = next_child(slot, height, keys, children, slot, True)
-            is_leaf = np.uint64(child < np.int32(0))
-            is_end = np.uint64(child == BOTTOM)
-            store(node + node_size, k)
-            store(leaf_next + next_size, k)
-            store(left + left_size, k)
-            node_size += ((is_leaf | is_end) ^ ONE_U64) << _WORD_SHIFT
-            next_size += is_leaf << _WORD_SHIFT
-            left_size += is_end << _WORD_SHIFT
-        leaf, leaf_next = leaf_next, leaf
-        leaf_size = next_size
+        waiting, leaf_count = leaf_count, ZERO_U64
+        for j in range(waiting):
+            k = item(leaf, j)
+            slot, stack = _Slot(slots, k), stacks + k * STACK
+            given = _Slot(slots, k - IN_FLIGHT), wants_any, filter_
+            is_done = test_leaf(slot, slot.leaves, lanes, _keep, given)
+            height = LANE if is_done else slot.top
+            is_node, is_leaf, is_end = next_child(slot, height, stack, slot, True)
+            node_count = append(node, node_count, k, is_node)
+            leaf_count = append(leaf, leaf_count, k, is_leaf)
+            left_count = append(left, left_count, k, is_end)
 
         # Step 4: continue in the tree over the instances with the rays that left an object.
-        at = ZERO_U64
-        while at != left_size:
-            k = load(np.uint64, left + at) - IN_FLIGHT
-            at += _WORD
-            slot = _Slot(slots, k)
-            keys, children = all_keys + k * STACK, all_children + k * STACK
-            child = next_child(slot, _leave(slot, wants_any), keys, children, slot, True)
-            is_leaf = np.uint64(child < np.int32(0))
-            is_end = np.uint64(child == BOTTOM)
-            store(node + node_size, k)
-            store(instance + instance_size, k)
-            store(done + done_size, k)
-            node_size += ((is_leaf | is_end) ^ ONE_U64) << _WORD_SHIFT
-            instance_size += is_leaf << _WORD_SHIFT
-            done_size += is_end << _WORD_SHIFT
-        left_size = ZERO_U64
+        for j in range(left_count):
+            k = item(left, j) - IN_FLIGHT
+            slot, stack = _Slot(slots, k), stacks + k * STACK
+            height = _leave(slot, wants_any)
+            is_node, is_leaf, is_end = next_child(slot, height, stack, slot, True)
+            node_count = append(node, node_count, k, is_node)
+            instance_count = append(instance, instance_count, k, is_leaf)
+            done_count = append(done, done_count, k, is_end)
+        left_count = ZERO_U64
 
         # Step 5: enter an instance with each ray that has found one.
-        next_size, at = ZERO_U64, ZERO_U64
-        while at != instance_size:
-            k = load(np.uint64, instance + at)
-            at += _WORD
-            slot = _Slot(slots, k)
-            own = k + IN_FLIGHT
-            if _enter(
-                slot,
-                _Slot(slots, own),
-                all_keys + own * STACK,
-                all_children + own * STACK,
-                source,
-                top.objects,
-            ):
-                store(node + node_size, own)
-                node_size += _WORD
+        waiting, instance_count = instance_count, ZERO_U64
+        for j in range(waiting):
+            k = item(instance, j)
+            slot, own = _Slot(slots, k), k + IN_FLIGHT
+            if _enter(slot, _Slot(slots, own), stacks + own * STACK, source, top.objects):
+                node_count = append(node, node_count, own, ONE_U64)
                 continue
-            keys, children = all_keys + k * STACK, all_children + k * STACK
-            child = next_child(slot, slot.top, keys, children, slot, True)
-            is_leaf = np.uint64(child < np.int32(0))
-            is_end = np.uint64(child == BOTTOM)
-            store(node + node_size, k)
-            store(instance_next + next_size, k)
-            store(done + done_size, k)
-            node_size += ((is_leaf | is_end) ^ ONE_U64) << _WORD_SHIFT
-            next_size += is_leaf << _WORD_SHIFT
-            done_size += is_end << _WORD_SHIFT
-        instance, instance_next = instance_next, instance
-        instance_size = next_size
+            is_node, is_leaf, is_end = next_child(slot, slot.top, stacks + k * STACK, slot, True)
+            node_count = append(node, node_count, k, is_node)
+            instance_count = append(instance, instance_count, k, is_leaf)
+            done_count = append(done, done_count, k, is_end)

@@ -25,6 +25,7 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
     any_lane,
+    count_trailing_zeros,
     f32x16,
     lanes_from_bits,
     mask16,
@@ -89,7 +90,9 @@ _trace_object, _trace_top = packet_walk(), packet_walk()
 def _load_groups(inside, packet, box, rays, groups, instance, object_):
     """Load the groups that enter an instance's box in object space; returns their number."""
     count = ZERO_U64
-    for g in range(groups.first, groups.last + ONE_U64):
+    while groups != ZERO_U64:
+        g = count_trailing_zeros(groups)
+        groups &= groups - ONE_U64
         bits = entering_rays(packet, g, box, rays)
         if bits == ZERO_U64:
             continue

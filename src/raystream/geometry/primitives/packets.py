@@ -22,16 +22,7 @@ from raystream.geometry.primitives.records import (
 from raystream.geometry.spheres.sphere import HIT, ExactRay, exact_ray, intersect, own_box, place
 from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, THREE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import (
-    any_lane,
-    lane,
-    lanes_from_bits,
-    mask16,
-    maximum,
-    minimum,
-    scratch,
-    store,
-)
+from raystream.jit.simd import count_trailing_zeros, lane, lanes_from_bits, mask16, scratch, store
 from raystream.jit.views import view
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import load_direction, load_origin
@@ -39,7 +30,7 @@ from raystream.kernels.triangle_lanes import planes_along, slab_interval
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.leaf_kinds import no_prefetch
 from raystream.structures.bvh.node_layout import leaf_address, prefetch_child
-from raystream.structures.bvh.packets.leaf import GroupRange, TriangleLeaf, group_range
+from raystream.structures.bvh.packets.leaf import TriangleLeaf, entering_groups
 from raystream.structures.bvh.packets.load import load_packet
 from raystream.structures.bvh.packets.queries import PacketScene
 from raystream.structures.bvh.packets.rays import (
@@ -66,9 +57,6 @@ _EXACT_BYTES = 16 * 8 * 8 * int(GROUPS)
 _Hits = view([(name, kind, 16) for name, kind in HIT])
 _HITS_BYTES = 16 * 40
 
-#: Of the groups that enter a node of a height field, as one number: bits of the first one, and
-#: where the last one begins.
-_FIRST_BITS, _LAST_SHIFT = np.uint64(0xFFFF), np.uint64(16)
 
 #: The link of a leaf of two blocks, of which the first one is the first of all.
 _TWO_BLOCKS = np.int32(~1)
@@ -128,14 +116,14 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
             break
         sphere = block.x[k], block.y[k], block.z[k], block.radius[k]
         planes = planes_along(*own_box(sphere, frame), back)
-        entering = group_range(packet, planes, rays.t_min, groups)
-        for g in range(entering.first, entering.last + ONE_U64):
+        entering = entering_groups(packet, planes, rays, groups)
+        while entering != ZERO_U64:
+            g = count_trailing_zeros(entering)
+            entering &= entering - ONE_U64
             group, exact = Group(packet, g), _Exact(leaf.memory, g)
             inv, near, far = three(group.inv), three(group.near), three(group.far)
             interval = slab_interval(planes, inv, near, far)
             t_min, t_far = group.t_min, group.t_active
-            if not any_lane(maximum(interval[0], t_min) <= minimum(interval[1], t_far)):
-                continue
             origin, direction = three(exact.origin), three(exact.direction)
             inv_square, offset = exact.inv_square, exact.offset
             ray = ExactRay(origin, direction, inv_square, offset, frame.center, frame.scale)
@@ -156,16 +144,6 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
 
 
 @device
-def _key_of(groups):
-    """The groups that enter a node as its key, see `fields.cells.field_walk`."""
-    return np.int32(groups.first | (groups.last << _LAST_SHIFT))
-
-
-@device
-def _groups_of(key):
-    return GroupRange(np.uint64(key) & _FIRST_BITS, np.uint64(key) >> _LAST_SHIFT)
-
-
 @device
 def _take_all(key, level, query, found):  # noqa: ARG001
     return True
@@ -173,16 +151,16 @@ def _take_all(key, level, query, found):  # noqa: ARG001
 
 @device
 def _enter_nodes(boxes, key, query, found, keys):  # noqa: ARG001
-    """Find the nodes that groups enter, and which groups."""
+    """Find the nodes that groups enter, and which groups: the nodes' keys are their bits."""
     _, packet, rays, _ = query
     back, entered = (rays.x.back, rays.y.back, rays.z.back), ZERO_U64
     near_x, near_y, near_z, far_x, far_y, far_z = planes_along(*boxes, back)
     for k in range(_FOUR):
         near = lane(near_x, k), lane(near_y, k), lane(near_z, k)
         planes = *near, lane(far_x, k), lane(far_y, k), lane(far_z, k)
-        groups = group_range(packet, planes, rays.t_min, _groups_of(key))
-        store(keys + (k << SHIFT_32), _key_of(groups))
-        entered |= np.uint64(groups.first <= groups.last) << k
+        groups = entering_groups(packet, planes, rays, np.uint64(key))
+        store(keys + (k << SHIFT_32), np.int32(groups))
+        entered |= np.uint64(groups != ZERO_U64) << k
     return entered
 
 
@@ -192,7 +170,7 @@ def _visit_cells(field, place, key, query, found, blocks):
     leaf, packet, rays, own = query
     back, to = (rays.x.back, rays.y.back, rays.z.back), leaf.hits
     planes = planes_along(*fill_row(field, *place, blocks), back)
-    groups = group_range(packet, planes, rays.t_min, _groups_of(key))
+    groups = entering_groups(packet, planes, rays, np.uint64(key))
     found |= to.visit(to, packet, _TWO_BLOCKS, blocks, planes, rays, groups, own)
     return found, False
 
@@ -205,7 +183,7 @@ def _visit_field(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: 
     """Search a height field with groups of a packet."""
     field = FieldRecord(leaves, np.uint64(np.int32(~child) >> _FIELD_SHIFT))
     query, back = (leaf, packet, rays, own), (rays.x.back, rays.y.back)
-    return _walk_field(field, back, _key_of(groups), query, False, leaf.memory)
+    return _walk_field(field, back, np.int32(groups), query, False, leaf.memory)
 
 
 # Scenes

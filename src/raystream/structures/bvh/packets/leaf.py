@@ -52,14 +52,6 @@ _FEW = np.uint64(4)
 
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
-_DOWN = np.uint64(2**64 - 1)
-
-
-class GroupRange(NamedTuple):
-    """Groups of a packet, from the first to the last; none if ``first > last``."""
-
-    first: np.uint64
-    last: np.uint64
 
 
 class Within(NamedTuple):
@@ -152,25 +144,14 @@ def entering_rays(packet, g, box, rays):
 
 
 @device
-def group_range(packet, planes, t_min, groups):
-    """The first and the last of some groups with a ray that enters a box, as a `GroupRange`."""
-    first = g = groups.first
-    end, step = groups.last, ONE_U64
-    # Up to the first group that enters, then down to the last one.
-    while True:
-        group = Group(packet, g)
-        t_in, t_out = _group_interval(group, planes)
-        if any_lane(maximum(t_in, t_min) <= minimum(t_out, group.t_active)):
-            if step == ONE_U64:
-                first, step = g, _DOWN
-                g, end = end, g
-                if g != end:
-                    continue
-            return GroupRange(first, g)
-        if g == end:
-            # On the way down, the first one is known to enter.
-            return GroupRange(ONE_U64, ZERO_U64) if step == ONE_U64 else GroupRange(first, first)
-        g += step
+def entering_groups(packet, box, rays, groups):
+    """Bits of those of some groups of which a ray enters a box, see `entering_rays`."""
+    left = groups
+    while left != ZERO_U64:
+        g = count_trailing_zeros(left)
+        left &= left - ONE_U64
+        groups ^= np.uint64(entering_rays(packet, g, box, rays) == ZERO_U64) << g
+    return groups
 
 
 @device
@@ -184,12 +165,15 @@ def vertices(block, x, y, z):
 
 
 @device
-def _own_planes(planes, block, rays):
-    """Write near and far planes of the boxes of four triangles."""
-    near, far = planes.near, planes.far
-    low, high = extents(*vertices(block, _X, _Y, _Z))
+def _own_planes(planes, at, rays):
+    """Write near and far planes of the boxes of a block's triangles; returns their number."""
+    near, far, prim_ids, count = planes.near, planes.far, BlockLanes(at).prim_ids, ONE_U64
+    low, high = extents(*vertices(Block(at), _X, _Y, _Z))
     own = planes_along(low, high, (rays.x.back, rays.y.back, rays.z.back))
     near[_X], near[_Y], near[_Z], far[_X], far[_Y], far[_Z] = own
+    while count != np.uint64(4) and prim_ids[count] >= np.int32(0):
+        count += ONE_U64
+    return count
 
 
 @device
@@ -272,8 +256,8 @@ def visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
     box : tuple of six float32
         Its planes, see `box_planes`.
     rays : RayClass
-    groups : GroupRange
-        Those that enter the box.
+    groups : uint64
+        Bits of those that enter the box.
     own : view of LEAF_SCRATCH
 
     Returns
@@ -285,20 +269,19 @@ def visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
     end = leaf_end(at, child)
     has_hit = False
     while at != end:
-        block = BlockLanes(at)
-        _own_planes(own, Block(at), rays)
-        count = ONE_U64
-        while count != np.uint64(4):
-            if block.prim_ids[count] < np.int32(0):
-                break
-            count += ONE_U64
-        for g in range(groups.first, groups.last + ONE_U64):
+        count = ZERO_U64
+        left = groups
+        while left != ZERO_U64:
+            g = count_trailing_zeros(left)
+            left &= left - ONE_U64
             bits = entering_rays(packet, g, box, rays)
             if bits == ZERO_U64:
                 continue
             if popcount(bits) <= _FEW:
                 has_hit |= _test_rays(leaf, packet, g, bits, at, rays, own)
             else:
+                if count == ZERO_U64:  # the planes are for many rays: most blocks do without
+                    count = _own_planes(own, at, rays)
                 for lane in range(count):
                     has_hit |= _test_triangle(leaf, packet, g, at, lane, rays, own)
         at += BLOCK

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.core.rays import INVALID
-from raystream.jit.constants import BYTES_64, INF_F32, ONE_U64, ZERO_F32
+from raystream.jit.constants import BYTES_64, INF_F32, ONE_U64, SHIFT_64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -61,7 +61,7 @@ NO_RAY = np.int64(-1)
 
 #: At the bottom of each stack: the smallest key, and a row that no node has.
 _BOTTOM_KEY = np.int32(-(2**31))
-BOTTOM = np.int32(2**31 - 1)
+_BOTTOM = np.int32(2**31 - 1)
 
 #: A ray in flight. Axes are in the order of the ray's frame: kx, ky, kz.
 SLOT = np.dtype(
@@ -89,19 +89,21 @@ SLOT = np.dtype(
     ]
 )
 Slot = view(SLOT)
-_SLOT_BYTES = np.uint64(SLOT.itemsize)
 
-#: Bytes of a ray's stacks, with room for the eight lanes that are always stored.
-STACK = np.uint64(4 * (STACK_SIZE + 16))
+#: Bytes of a ray's stack: keys, and behind them children, each with room for the eight lanes that
+#: are always stored.
+_CHILDREN = np.uint64(4 * (STACK_SIZE + 16))
+STACK = _CHILDREN + _CHILDREN
 
-_SLOTS_BYTES = int(IN_FLIGHT * _SLOT_BYTES)
-_STACK_BYTES = int(IN_FLIGHT * STACK)
-_HITS_BYTES = HITS.itemsize
+#: Bytes of a queue of slots, with room for the one that is always stored.
 QUEUE_BYTES = int(IN_FLIGHT * BYTES_64 + _LINE)
+
+_SLOTS_BYTES, _STACKS_BYTES = int(IN_FLIGHT) * SLOT.itemsize, int(IN_FLIGHT * STACK)
+_HITS_BYTES = HITS.itemsize
 
 
 @device
-def start_ray(slot, keys, children, i, ray, max_coordinate):
+def start_ray(slot, stack, i, ray, max_coordinate):
     """Put a ray into a slot, before the root."""
     r = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, max_coordinate)
     inv_x = component(r.kx, r.inv_x, r.inv_y, r.inv_z)
@@ -127,16 +129,17 @@ def start_ray(slot, keys, children, i, ray, max_coordinate):
     slot.prim_id, slot.u, slot.v = NO_PRIM, ZERO_F32, ZERO_F32
     slot.child, slot.top = np.int32(0), LANE
     slot.ray, slot.t_scale, slot.t_offset = np.int64(i), ray.t_scale, ray.t_offset
-    store(keys, _BOTTOM_KEY)
-    store(children, BOTTOM)
+    store(stack, _BOTTOM_KEY)
+    store(stack + _CHILDREN, _BOTTOM)
 
 
 @device
 def finish_ray(slot, wants_any, out):
-    """Write the result of a slot's ray, if it has one."""
+    """Write the result of a slot's ray, if it has one, and empty the slot."""
     if slot.ray < np.int64(0):
         return
     i, prim_id = np.uint64(slot.ray), slot.prim_id
+    slot.ray = NO_RAY
     if wants_any:
         store(out.seen + i, np.uint8(prim_id != NO_PRIM))
         return
@@ -153,8 +156,9 @@ def finish_ray(slot, wants_any, out):
 
 
 @device
-def visit_node(slot, node, keys, children, numbers):
+def visit_node(slot, nodes, stack):
     """Test a node's eight boxes and push those that are entered; returns the stack's height."""
+    node = Node(nodes, np.uint64(slot.child))
     x, y, z = slot.planes
     planes = node.planes
     near = planes[x], planes[y], planes[z]
@@ -163,11 +167,11 @@ def visit_node(slot, node, keys, children, numbers):
     entered = maximum(t_in, slot.t_min) <= minimum(t_out, slot.t)
     # Keys: entry distance with the lane in the lowest bits, at least 0 since only the bits of
     # positive numbers are in the numbers' order. Boxes that are missed sink to the end.
-    key = (float_as_bits(maximum(t_in, ZERO_F32)) & _KEY_BITS) | numbers
+    key = (float_as_bits(maximum(t_in, ZERO_F32)) & _KEY_BITS) | lane_numbers(i32x8)
     key = sort_keys(select(entered, key, i32x8(_BOTTOM_KEY)))
     top = slot.top
-    store(keys + top, key)
-    store(children + top, permute(node.children, key))
+    store(stack + top, key)
+    store(stack + _CHILDREN + top, permute(node.children, key))
     return top + (popcount(mask_bits(entered)) << np.uint64(2))
 
 
@@ -180,29 +184,39 @@ def filter_of(filter_, slot):
 
 
 @device
-def slot_ray(slot):
-    """The `BlockRay` of a slot's ray."""
-    return BlockRay(
-        slot.axes, slot.inv, slot.near, slot.far, slot.origin, slot.direction, slot.shear
-    )
+def test_leaf(slot, leaves, lanes_at, keep, given):
+    """Test the triangles of a slot's next leaf; returns whether its ray is done.
+
+    ``keep(slot, block, bits, lanes, given)`` takes the ray's hits with some triangles of the block
+    at an address, and returns the same.
+    """
+    at = leaf_address(leaves, slot.child)
+    end = leaf_end(at, slot.child)
+    while at != end:
+        ray = BlockRay(
+            slot.axes, slot.inv, slot.near, slot.far, slot.origin, slot.direction, slot.shear
+        )
+        bits = test_block(at, ray, slot.t_min, slot.t, False, lanes_at)
+        if bits != ZERO_U64 and keep(slot, at, bits, HitLanes(lanes_at), given):
+            return True
+        at += BLOCK
+    return False
 
 
 @device
 def _visit_leaf(slot, tree, frame, source, lanes_at, wants_any, filter_):
-    """Test the triangles of the next leaf; returns whether the ray is done."""
-    child = slot.child
-    at = leaf_address(tree.leaves, child)
-    end = leaf_end(at, child)
-    while at != end:
-        bits = test_block(at, slot_ray(slot), slot.t_min, slot.t, False, lanes_at)
-        if bits != np.uint64(0):
-            block, lanes, of_ray = Block(at), HitLanes(lanes_at), filter_of(filter_, slot)
-            if not wants_any:
-                _keep_nearest(slot, block, bits, lanes, of_ray)
-            elif any_kept(of_ray, block, bits, lanes):
-                slot.prim_id = np.int32(0)
-                return True
-        at += BLOCK
+    return test_leaf(slot, tree.leaves, lanes_at, _keep, (wants_any, filter_))
+
+
+@device
+def _keep(slot, at, bits, lanes, given):
+    (wants_any, filter_), block = given, Block(at)
+    own = filter_of(filter_, slot)
+    if not wants_any:
+        _keep_nearest(slot, block, bits, lanes, own)
+    elif any_kept(own, block, bits, lanes):
+        slot.prim_id = np.int32(0)
+        return True
     return False
 
 
@@ -223,17 +237,37 @@ def _keep_nearest(slot, block, bits, lanes, filter_):
 
 
 @device
-def next_child(slot, top, keys, children, tree, prefetching):
-    """Pop the nearest child within the search interval; returns its link."""
+def next_child(slot, top, stack, tree, prefetching):
+    """Pop the nearest child within the search interval.
+
+    Returns
+    -------
+    is_node, is_leaf, is_end : uint64
+        1 for what it is, and 0: a node, a leaf, or the bottom of the stack.
+    """
     limit = slot.t_key
     top -= LANE
-    while load(np.int32, keys + top) > limit:
+    while load(np.int32, stack + top) > limit:
         top -= LANE
-    child = load(np.int32, children + top)
+    child = load(np.int32, stack + _CHILDREN + top)
     slot.child, slot.top = child, top
     if prefetching:
         prefetch_child(child, tree.nodes, tree.leaves)
-    return child
+    is_leaf, is_end = np.uint64(child < np.int32(0)), np.uint64(child == _BOTTOM)
+    return (is_leaf | is_end) ^ ONE_U64, is_leaf, is_end
+
+
+@device
+def item(queue, j):
+    """The slot at a place of a queue."""
+    return load(np.uint64, queue + (j << SHIFT_64))
+
+
+@device
+def append(queue, count, k, is_next):
+    """Append slot k to a queue if `is_next` is 1, without a branch; returns the queue's length."""
+    store(queue + (count << SHIFT_64), k)
+    return count + is_next
 
 
 @device
@@ -274,100 +308,57 @@ def wavefront_kernel(visit_leaf, complete=_complete):
 
     @kernel
     def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, filter_, out):
-        slots = scratch(_SLOTS_BYTES)
-        all_keys = scratch(_STACK_BYTES)
-        all_children = scratch(_STACK_BYTES)
+        slots, stacks = scratch(_SLOTS_BYTES), scratch(_STACKS_BYTES)
         lanes = scratch(_HITS_BYTES)
-        inner = scratch(QUEUE_BYTES)
-        inner_next = scratch(QUEUE_BYTES)
-        leaf = scratch(QUEUE_BYTES)
-        leaf_next = scratch(QUEUE_BYTES)
-        done = scratch(QUEUE_BYTES)
-        numbers = lane_numbers(i32x8)
+        # Slots by what their rays need next: a node, a leaf, or nothing more.
+        node, leaf, done = scratch(QUEUE_BYTES), scratch(QUEUE_BYTES), scratch(QUEUE_BYTES)
+        node_count, leaf_count, done_count = ZERO_U64, ZERO_U64, ZERO_U64
         ray_next, ray_end = np.uint64(begin), np.uint64(end)
-        # Lengths of the queues, in bytes.
-        inner_size = np.uint64(0)
-        leaf_size = np.uint64(0)
-        done_size = np.uint64(0)
         for k in range(IN_FLIGHT):
-            store(done + done_size, k)
-            done_size += BYTES_64
+            done_count = append(done, done_count, k, ONE_U64)
             Slot(slots, k).ray = NO_RAY
 
         while True:
             # Step 1: write the results of finished slots and start new rays in them.
-            at = np.uint64(0)
-            while at != done_size:
-                k = load(np.uint64, done + at)
-                at += BYTES_64
+            for j in range(done_count):
+                k = item(done, j)
                 slot = Slot(slots, k)
                 complete(slot, tree, frame, source, wants_any)
                 finish_ray(slot, wants_any, out)
-                slot.ray = NO_RAY
                 if ray_next < ray_end:
                     ray = load_ray(source, ray_next, frame)
                     if ray.status == INVALID:
                         store(out.status + ray_next, INVALID)
-                    start_ray(
-                        slot,
-                        all_keys + k * STACK,
-                        all_children + k * STACK,
-                        ray_next,
-                        ray,
-                        frame.max_coordinate,
-                    )
+                    start_ray(slot, stacks + k * STACK, ray_next, ray, frame.max_coordinate)
                     ray_next += ONE_U64
-                    store(inner + inner_size, k)
-                    inner_size += BYTES_64
-            done_size = np.uint64(0)
-            if inner_size == np.uint64(0) and leaf_size == np.uint64(0):
+                    node_count = append(node, node_count, k, ONE_U64)
+            done_count = ZERO_U64
+            if node_count | leaf_count == ZERO_U64:
                 break
 
-            # Step 2: visit a node for each ray that waits for one.
-            next_size = np.uint64(0)
-            at = np.uint64(0)
-            while at != inner_size:
-                k = load(np.uint64, inner + at)
-                at += BYTES_64
-                slot = Slot(slots, k)
-                keys, children = all_keys + k * STACK, all_children + k * STACK
-                node = Node(tree.nodes, np.uint64(slot.child))
-                top = visit_node(slot, node, keys, children, numbers)
-                child = next_child(slot, top, keys, children, tree, prefetching)
-                # Branchless: append the slot to all queues, and lengthen one of them.
-                is_leaf = np.uint64(child < np.int32(0))
-                is_done = np.uint64(child == BOTTOM)
-                store(inner_next + next_size, k)
-                store(leaf + leaf_size, k)
-                store(done + done_size, k)
-                leaf_size += is_leaf << np.uint64(3)
-                done_size += is_done << np.uint64(3)
-                next_size += ((is_leaf | is_done) ^ ONE_U64) << np.uint64(3)
-            inner, inner_next = inner_next, inner
-            inner_size = next_size
+            # Step 2: visit a node for each ray that waits for one. A queue is written where it has
+            # been read already.
+            waiting, node_count = node_count, ZERO_U64
+            for j in range(waiting):
+                k = item(node, j)
+                slot, stack = Slot(slots, k), stacks + k * STACK
+                top = visit_node(slot, tree.nodes, stack)
+                is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching)
+                node_count = append(node, node_count, k, is_node)
+                leaf_count = append(leaf, leaf_count, k, is_leaf)
+                done_count = append(done, done_count, k, is_end)
 
             # Step 3: test a leaf for each ray that waits for one.
-            next_size = np.uint64(0)
-            at = np.uint64(0)
-            while at != leaf_size:
-                k = load(np.uint64, leaf + at)
-                at += BYTES_64
-                slot = Slot(slots, k)
-                keys, children = all_keys + k * STACK, all_children + k * STACK
-                top = slot.top
-                if visit_leaf(slot, tree, frame, source, lanes, wants_any, filter_):
-                    top = LANE
-                child = next_child(slot, top, keys, children, tree, prefetching)
-                is_leaf = np.uint64(child < np.int32(0))
-                is_done = np.uint64(child == BOTTOM)
-                store(inner + inner_size, k)
-                store(leaf_next + next_size, k)
-                store(done + done_size, k)
-                next_size += is_leaf << np.uint64(3)
-                done_size += is_done << np.uint64(3)
-                inner_size += ((is_leaf | is_done) ^ ONE_U64) << np.uint64(3)
-            leaf, leaf_next = leaf_next, leaf
-            leaf_size = next_size
+            waiting, leaf_count = leaf_count, ZERO_U64
+            for j in range(waiting):
+                k = item(leaf, j)
+                slot, stack = Slot(slots, k), stacks + k * STACK
+                is_done = visit_leaf(slot, tree, frame, source, lanes, wants_any, filter_)
+                top = LANE if is_done else slot.top
+                is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching)
+                node_count = append(node, node_count, k, is_node)
+                leaf_count = append(leaf, leaf_count, k, is_leaf)
+                done_count = append(done, done_count, k, is_end)
 
     return trace_wavefront
 

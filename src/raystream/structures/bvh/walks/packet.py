@@ -2,9 +2,8 @@
 
 The bounds of a packet's origins and reciprocal directions form an interval ray: one test of
 eight boxes against it culls the children that no ray of the packet can enter. The others are
-tested exactly, 16 rays at a time, from the first group up and from the last group down until one
-enters; this range of groups is pushed with the child and bounds the work below ("ranged
-traversal"). In a leaf, 16 rays are tested against one triangle at a time.
+tested exactly, 16 rays at a time, by the groups that entered their node; those that enter a child
+are pushed with it, as bits. In a leaf, 16 rays are tested against one triangle at a time.
 
 The rays of a pass share a direction class: the octant and the largest axis of the direction. A
 packet takes a pass per class.
@@ -12,7 +11,7 @@ packet takes a pass per class.
 References
 ----------
 Overbeck, Ramamoorthi and Mark, "Large Ray Packets for Real-time Whitted Ray Tracing", IEEE
-Symposium on Interactive Ray Tracing 2008 (ranged traversal); Boulos, Wald and Shirley,
+Symposium on Interactive Ray Tracing 2008 (active rays per node); Boulos, Wald and Shirley,
 "Geometric and Arithmetic Culling Methods for Entire Ray Packets", 2006 (interval test).
 """
 
@@ -40,12 +39,7 @@ from raystream.jit.views import address_of, view
 from raystream.kernels.ray import PAD
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.node_layout import NODE, Node, NodeLanes
-from raystream.structures.bvh.packets.leaf import (
-    LEAF_SCRATCH,
-    GroupRange,
-    box_planes,
-    group_range,
-)
+from raystream.structures.bvh.packets.leaf import LEAF_SCRATCH, box_planes, entering_groups
 from raystream.structures.bvh.packets.rays import NO_CLASS, Group, GroupLanes
 
 _TWO = np.float32(2.0)
@@ -54,14 +48,13 @@ _NO_LIMIT = np.int32(2**31 - 1)
 #: Minus a direction class: of rays that have been traced.
 _TRACED = np.int32(-2)
 
-#: A stack entry: a child, its key, the first and the last group that enter it, and the node and
-#: lane of its box.
+#: A stack entry: a child, its key, bits of the groups that enter it, and the lane and node of its
+#: box.
 _ENTRY = np.dtype(
     [
         ("child", "i4"),
         ("key", "i4"),
-        ("first", "u2"),
-        ("last", "u2"),
+        ("groups", "u4"),
         ("lane", "u4"),
         ("node", "u8"),
     ]
@@ -241,8 +234,7 @@ def _push(stack, base, top, child, key, groups, node, lane):
         at -= ONE_U64
     entry = _Entry(stack, at)
     entry.child, entry.key = child, key
-    entry.first, entry.last = np.uint16(groups.first), np.uint16(groups.last)
-    entry.node, entry.lane = node, np.uint32(lane)
+    entry.groups, entry.node, entry.lane = np.uint32(groups), node, np.uint32(lane)
     return top + ONE_U64
 
 
@@ -288,8 +280,8 @@ def packet_walk():
                 bits &= bits - ONE_U64
                 leaf.prefetch(children[lane], tree.nodes, tree.leaves)
                 planes = box_planes(node, lane, rays)
-                entering = group_range(packet, planes, rays.t_min, groups)
-                if entering.first <= entering.last:
+                entering = entering_groups(packet, planes, rays, groups)
+                if entering != ZERO_U64:
                     top = _push(stack, base, top, children[lane], keys[lane], entering, node, lane)
         return top
 
@@ -302,7 +294,7 @@ def packet_walk():
 
         stack, memory = memory + _MEMORY_BYTES, _Memory(memory)
         top, child, node, lane = ZERO_U64, np.int32(0), ZERO_U64, ZERO_U64
-        groups = GroupRange(ZERO_U64, count - ONE_U64)
+        groups = (ONE_U64 << count) - ONE_U64
         while True:
             if child >= np.int32(0):
                 node = tree.nodes + np.uint64(child) * NODE
@@ -321,7 +313,7 @@ def packet_walk():
                 break
             top -= ONE_U64
             entry = _Entry(stack, top)
-            child, groups = entry.child, GroupRange(np.uint64(entry.first), np.uint64(entry.last))
+            child, groups = entry.child, np.uint64(entry.groups)
             node, lane = entry.node, np.uint64(entry.lane)
 
         for g in range(count):
