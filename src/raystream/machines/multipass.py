@@ -5,14 +5,14 @@ from __future__ import annotations
 import copy
 import operator
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
-from raystream.jit.threads import Progress, part_of
+from raystream.jit.threads import Progress, parts
 from raystream.kernels.hits import HitAddresses, HitArrays, Sink
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.tally import new_tallies
@@ -149,8 +149,8 @@ class MultipassBackend(LocalFrameBackend):
     ) -> NDArray[np.uint32]:
         """Trace rays, in parts that fit in memory; returns the number of hits of each."""
         counts = np.zeros(len(job), np.uint32)
-        for rows in _parts(len(job), steps):
-            report = part_of(progress, rows.start, len(job))
+        size = max(1, MAX_BYTES // _ray_bytes(steps))
+        for rows, report in parts(len(job), size, progress):
             counts[rows] = self._trace_part(steps, job.part(rows), goal, report)
         return counts
 
@@ -272,8 +272,7 @@ class MultipassBackend(LocalFrameBackend):
 
     def loop_bytes(self, pixel: np.dtype[Any]) -> int:
         """Memory of a pixel of `run_loop`, with the renderer's record."""
-        steps = steps_of(self.structure)
-        return _RAY_BYTES + steps.place.itemsize + steps.stack_bytes + pixel.itemsize
+        return _ray_bytes(steps_of(self.structure)) + pixel.itemsize
 
     @staticmethod
     def _snapshots(
@@ -303,12 +302,9 @@ class MultipassBackend(LocalFrameBackend):
             progress(count, count)
 
 
-def _parts(count: int, steps: Steps) -> Iterator[slice]:
-    """Ranges of rays that fit in memory."""
-    each = _RAY_BYTES + steps.place.itemsize + steps.stack_bytes
-    size = max(1, MAX_BYTES // each)
-    for begin in range(0, count, size):
-        yield slice(begin, min(begin + size, count))
+def _ray_bytes(steps: Steps) -> int:
+    """Bytes of a ray in the streams, and of its stack."""
+    return _RAY_BYTES + steps.place.itemsize + steps.stack_bytes
 
 
 def _address(array: NDArray[Any] | None) -> np.uint64:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from raystream.core.checks import check_choice
 from raystream.core.choices import DeviceOptions
-from raystream.jit.threads import Progress
+from raystream.jit.threads import Progress, part_of
 from raystream.rendering.arguments import check_camera, check_samples, check_size, make_tracer
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.false_colors import check_maximum, draw_counts
@@ -232,7 +232,7 @@ def _trace(
         rows = range(first, min(first + rows_per_band, height))
         for sample in range(samples):
             paths = camera_paths(camera, size, sampler, rows, sample)
-            report = _part_of(progress, done, len(paths.pixels), ray_count)
+            report = part_of(progress, done, len(paths.pixels), ray_count)
             tracer.first_hit(paths.origins, paths.directions, progress=report)
             yield paths.pixels, tracer.counters
             done += len(paths.pixels)
@@ -251,14 +251,6 @@ class _Totals:
 
     def cost(self, ray_count: int) -> RayCost:
         return RayCost(self.total / ray_count, self.most, self.total)
-
-
-def _part_of(progress: Progress | None, first: int, count: int, total: int) -> Progress | None:
-    """The callback of a query of `count` rays, the first of which is number `first` of `total`."""
-    if progress is None:
-        return None
-    whole = progress
-    return lambda done, steps: whole(first + count * done // steps, total)
 
 
 def _add_up(passes: list[Passes]) -> PassCost | None:

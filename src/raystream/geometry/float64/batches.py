@@ -21,7 +21,7 @@ from raystream.jit.constants import ZERO_U64
 from raystream.kernels.aligned import array_address
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import ResultAddresses
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
+from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls, CallSize
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels, count_all
 from raystream.structures.bvh.packets.queries import TREES, NearestWanted
@@ -75,11 +75,11 @@ _LEAST = 4
 
 
 def _of_groups(bind: Callable[..., Calls]) -> BatchKernel:
-    return BatchKernel(bind, _LEAST, BLOCK_PACKETS, share=4, memory_bytes=WORKING_BYTES)
+    return BatchKernel(bind, CallSize(_LEAST, BLOCK_PACKETS, 1, 4, WORKING_BYTES))
 
 
 _KERNELS = {
-    "packet": BatchKernel(_packets, _LEAST, 64, share=4, is_tiled=True),
+    "packet": BatchKernel(_packets, CallSize(_LEAST, 64, share=4), is_tiled=True),
     "groups": _of_groups(_groups),
 }
 

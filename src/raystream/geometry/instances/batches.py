@@ -8,9 +8,9 @@ from raystream.core.query import Kind
 from raystream.geometry.instances.groups import BLOCK_PACKETS, CALL_BYTES, trace_instances
 from raystream.geometry.instances.in_flight import trace_instance_wavefront
 from raystream.geometry.instances.packets import INSTANCES
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
+from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls, CallSize
 from raystream.structures.bvh.coherence import Coherence
-from raystream.structures.bvh.kernel_choice import nearest_kernel
+from raystream.structures.bvh.kernel_choice import NEAREST_SIZE, nearest_kernel
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
 from raystream.structures.bvh.packets.queries import NEAREST, packet_kernel
 
@@ -34,12 +34,12 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
     return ("groups", "wavefront") if coherence.near >= 0.5 else ("wavefront", "groups")
 
 
+_GROUPS_SIZE = NEAREST_SIZE._replace(block=BLOCK_PACKETS, memory_bytes=CALL_BYTES)
+
 _KERNELS = {
-    "groups": nearest_kernel(
-        trace_instances, block=BLOCK_PACKETS, is_tiled=True, memory_bytes=CALL_BYTES
-    ),
-    "packet": nearest_kernel(packet_kernel(INSTANCES, NEAREST), is_tiled=True),
-    "wavefront": BatchKernel(_wavefront, 4096, 4096, by_packets=False, takes_filter=True),
+    "groups": nearest_kernel(trace_instances, _GROUPS_SIZE),
+    "packet": nearest_kernel(packet_kernel(INSTANCES, NEAREST)),
+    "wavefront": BatchKernel(_wavefront, CallSize(4096, 4096), by_packets=False),
 }
 
 

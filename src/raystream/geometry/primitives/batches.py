@@ -10,7 +10,12 @@ from raystream.geometry.primitives.packets import PRIMITIVES
 from raystream.jit.constants import ZERO_U64
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.kernel_choice import CACHED_BYTES, SMALL_BATCH, nearest_kernel
+from raystream.structures.bvh.kernel_choice import (
+    CACHED_BYTES,
+    IN_FLIGHT_SIZE,
+    SMALL_BATCH,
+    nearest_kernel,
+)
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
 from raystream.structures.bvh.packets.queries import NEAREST, packet_kernel
 
@@ -26,8 +31,8 @@ def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
     return trace_primitive_wavefront, (*rays, batch.wants_any, True, None, batch.results)
 
 
-_PACKET = nearest_kernel(packet_kernel(PRIMITIVES, NEAREST), is_tiled=True)
-_IN_FLIGHT = BatchKernel(_wavefront, 1024, 8192, by_packets=False)
+_PACKET = nearest_kernel(packet_kernel(PRIMITIVES, NEAREST))
+_IN_FLIGHT = BatchKernel(_wavefront, IN_FLIGHT_SIZE, by_packets=False)
 _VISITED, _COUNTED = all_hits_kernels(PRIMITIVES)
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from raystream.core.query import Kind
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
+from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls, CallSize
 from raystream.structures.bvh.coherence import Coherence, choose_kernel, rivals
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
@@ -37,14 +37,20 @@ def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
     return trace_wavefront, (*rays, batch.wants_any, prefetching, batch.query.on_hit, batch.results)
 
 
+#: Calls of packets.
+NEAREST_SIZE = CallSize(4, 64)
+
+
 def _nearest_of(trace: Callable[..., object], structure: Structure, batch: Batch) -> Calls:
     wanted = NearestWanted(batch.wants_any, batch.query.on_hit, batch.results)
     return trace, (structure.view, batch.packets(structure.frame), wanted)
 
 
-def nearest_kernel(trace: Callable[..., object], **options: Any) -> BatchKernel:
+def nearest_kernel(
+    trace: Callable[..., object], size: CallSize = NEAREST_SIZE, is_tiled: bool = True
+) -> BatchKernel:
     """The kernel that finds the nearest or any hits, as a function for a `NearestWanted`."""
-    return BatchKernel(partial(_nearest_of, trace), 4, 64, takes_filter=True, **options)
+    return BatchKernel(partial(_nearest_of, trace), size, is_tiled=is_tiled)
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
@@ -52,11 +58,15 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
     return guess, *rivals(coherence, guess)
 
 
+#: Calls of rays in flight: fewer would not use all slots at the start and the end of a call.
+IN_FLIGHT_SIZE = CallSize(1024, 8192)
+
+_GROUPS_SIZE = NEAREST_SIZE._replace(block=BLOCK_PACKETS, memory_bytes=MEMORY_BYTES)
+
 _NEAREST = {
-    "packet": nearest_kernel(packet_kernel(TREES, NEAREST), is_tiled=True),
-    "groups": nearest_kernel(trace_groups, block=BLOCK_PACKETS, memory_bytes=MEMORY_BYTES),
-    # Fewer rays would not use all slots at the start and the end of a call.
-    "wavefront": BatchKernel(_wavefront, 1024, 8192, by_packets=False, takes_filter=True),
+    "packet": nearest_kernel(packet_kernel(TREES, NEAREST)),
+    "groups": nearest_kernel(trace_groups, _GROUPS_SIZE, is_tiled=False),
+    "wavefront": BatchKernel(_wavefront, IN_FLIGHT_SIZE, by_packets=False),
 }
 _FIRST_OR_ANY = BatchKernels(_NEAREST, _suited, SMALL_BATCH, "wavefront")
 

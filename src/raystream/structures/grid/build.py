@@ -190,28 +190,18 @@ def build_lists(
     corners, prim_ids = triangles.corners, triangles.prim_ids
     layers = find_layers(corners, prim_ids, lattice)
     splits = np.zeros(cell_count + 1, np.uint32)
-    first_half, second_half = _halves(progress, lattice.counts[layers.axis], len(prim_ids))
+    # Two loops over the layers.
+    count, half = len(prim_ids), len(prim_ids) // 2
     counts = ListOutput(splits[1:], np.empty(0, np.int32), limit)
-    total = list_triangles(corners, prim_ids, lattice, layers, counts, first_half)
+    total = list_triangles(
+        corners, prim_ids, lattice, layers, counts, part_of(progress, 0, half, count)
+    )
     check_memory(total * 4, f"{option}: {total:,} references would", remedy)
     np.cumsum(splits, out=splits)
     lists = ListOutput(splits[:-1].copy(), np.empty(total, np.int32), limit)
-    list_triangles(corners, prim_ids, lattice, layers, lists, second_half)
+    rest = part_of(progress, half, count - half, count)
+    list_triangles(corners, prim_ids, lattice, layers, lists, rest)
     return GridArrays(splits, lists.references)
-
-
-def _halves(
-    progress: Progress | None, layer_count: int, triangle_count: int
-) -> tuple[Progress | None, Progress | None]:
-    """Callbacks for two loops over the layers, in terms of triangles."""
-    if progress is None:
-        return None, None
-    report, steps = progress, 2 * layer_count
-
-    def whole(done: int, _: int) -> None:
-        report(done * triangle_count // steps, triangle_count)
-
-    return part_of(whole, 0, steps), part_of(whole, layer_count, steps)
 
 
 def find_layers(
