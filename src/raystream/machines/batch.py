@@ -89,7 +89,8 @@ def trace_batch(
         order = find_order(source, count, structure.frame)
     batch = Batch(query, rays, sink, source, order.packets)
     if len(names) == 1:
-        _trace_piece(kernel, structure, batch, order, (0, count), progress)
+        report = progress and part_of(progress, 0, count, count)  # it may count packets
+        _trace_piece(kernel, structure, batch, order, (0, count), report)
     else:
         cold = [name for name in names if _key_of(table.kernels[name], query) not in _loaded]
         races, done = Races(structure.kernel_times), 0
