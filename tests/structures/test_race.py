@@ -89,18 +89,18 @@ def test_each_ray_is_traced_once(monkeypatch, step):
 
 
 def test_races_become_rare():
-    races, names = Races(), ("a", "b")
-    due = [number for number in range(1, 40) if races.plan("kind", names, True)[1]]
+    races = Races()
+    due = [number for number in range(1, 40) if races.is_due("kind", True)]
     assert due == [1, 2, 4, 8, 16, 32]
-    due = [number for number in range(1, 40) if races.plan("other", names, False)[1]]
+    due = [number for number in range(1, 40) if races.is_due("other", False)]
     assert due == [4, 8, 16, 32]
 
 
 def test_the_winner_is_remembered_for_its_kind_only():
     races = Races()
     races.learn("kind", {"a": 2.0, "b": 1.0})
-    assert races.plan("kind", ("a", "b"), True)[0] == "b"
-    assert races.plan("other", ("a", "b"), True)[0] == "a"
+    assert races.fastest("kind", ("a", "b")) == "b"
+    assert races.fastest("other", ("a", "b")) == "a"
 
 
 def test_one_race_runs_at_a_time(monkeypatch):
@@ -117,7 +117,7 @@ def test_one_race_runs_at_a_time(monkeypatch):
     assert sum(kernels.rays.values()) == COUNT
     assert times["outer"].rates.keys() == {"a", "b"}
     assert not times["inner"].rates
-    assert Races(times).plan("inner", ("a", "b"), True) == ("a", True)  # its second batch
+    assert Races(times).is_due("inner", True)  # its second batch
 
 
 def test_an_interrupt_teaches_nothing(monkeypatch):
@@ -174,6 +174,6 @@ def test_a_kernel_that_must_be_loaded_is_not_timed(monkeypatch):
             kernels.run(name, begin, end)
 
     for _ in range(3):  # the first batches are not raced
-        races.plan("kind", ("a", "b"), False)
+        races.is_due("kind", False)
     run(loading, races, ("a", "b"), cold=["b"])
     assert races.fastest("kind", ("a", "b")) == "b"

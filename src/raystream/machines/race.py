@@ -75,23 +75,19 @@ class Races:
     def __init__(self, kinds: dict[Hashable, Any] | None = None) -> None:
         self._kinds: dict[Hashable, _Kind] = {} if kinds is None else kinds
 
-    def plan(self, kind: Hashable, names: Sequence[str], is_ready: bool) -> tuple[str, bool]:
-        """The kernel for a batch of a kind, and whether to race.
+    def is_due(self, kind: Hashable, is_ready: bool) -> bool:
+        """Whether to race the next batch of a kind.
 
         Parameters
         ----------
         kind : hashable
-        names : sequence of str
-            The kernel to take before any race, then its rivals.
         is_ready : bool
-            Whether all of them are loaded: else only later batches are worth it.
+            Whether all its kernels are loaded: else only later batches are worth it.
         """
         if kind not in self._kinds and len(self._kinds) >= _MOST_KINDS:
             self._kinds.clear()
-        known = self._kinds.setdefault(kind, _Kind())
-        number = next(known.numbers)
-        is_due = number & (number - 1) == 0 and (is_ready or number >= 4)
-        return _fastest(names, known.rates), is_due
+        number = next(self._kinds.setdefault(kind, _Kind()).numbers)
+        return number & (number - 1) == 0 and (is_ready or number >= 4)
 
     def learn(self, kind: Hashable, rates: dict[str, float]) -> None:
         """Keep the seconds per ray of a race: the mean with those of earlier ones."""
@@ -101,16 +97,11 @@ class Races:
 
     def fastest(self, kind: Hashable, names: Sequence[str]) -> str:
         """The fastest kernel of a kind of batch; the first one if nothing is known."""
-        known = self._kinds.get(kind)
-        return _fastest(names, known.rates if known else {})
-
-
-def _fastest(names: Sequence[str], rates: dict[str, float]) -> str:
-    best = names[0]
-    for name in names[1:]:
-        if name in rates and best in rates and rates[name] * _LEAD < rates[best]:
-            best = name
-    return best
+        rates, best = self._kinds.get(kind, _Kind()).rates, names[0]
+        for name in names[1:]:
+            if name in rates and best in rates and rates[name] * _LEAD < rates[best]:
+                best = name
+        return best
 
 
 def race(
@@ -135,9 +126,8 @@ def race(
     -----
     One race at a time: two would measure each other. A batch that is due meanwhile is not raced.
     """
-    name, is_due = races.plan(kind, names, not cold)
-    if not is_due or not _racing.acquire(blocking=False):
-        yield name, 0, count
+    if not races.is_due(kind, not cold) or not _racing.acquire(blocking=False):
+        yield races.fastest(kind, names), 0, count
         return
     try:
         yield from _pieces(races, kind, names, cold, count, cut)
