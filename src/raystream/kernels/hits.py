@@ -432,6 +432,14 @@ class Sink:
             sink.counts = np.empty(count, np.int64)
         return sink
 
+    @property
+    def nearest(self) -> HitAddresses:
+        """Where the hits of `Kind.FIRST_HIT` go."""
+        memory = getattr(self, "memory", None)
+        if memory is None:
+            return HitAddresses.of(self.hits)
+        return HitAddresses.of_rows(array_address(memory), memory.strides[0], item_bytes=1)
+
     def part(self, rows: slice) -> Sink:
         """A view of some consecutive rays; of `Kind.MULTI_HIT`, with all hits."""
         tallies = None if self.tallies is None else self.tallies[rows]

@@ -78,7 +78,8 @@ def trace_batch(
     is_packed = kernel is None or kernel.by_packets
     source, kept = _source_of(rays, is_packed)
     order = BatchOrder(PacketOrder.of(rays.shape)) if is_packed else _NO_ORDER
-    names, kind = (name,), ()
+    names: tuple[str, ...] = (name,)
+    kind: tuple[int, ...] = ()
     if kernel is None:
         kind, names = _suited(structure, query, table, source, order.packets)
         kernel = table.kernels[names[0]]

@@ -119,7 +119,7 @@ class BlockQuery:
                 t_max=batch.t_max[begin:end],
                 max_hits=wanted if is_bounded else limit,
                 **self._options,
-                progress=_rays_of(progress, begin, end - begin, count),
+                progress=part_of(progress, begin, end - begin, count),
             )
             most = int(hits.counts.max())
             if not is_bounded and most >= limit:
@@ -139,12 +139,3 @@ class BlockQuery:
             if most < limit // 4:
                 part *= 2
         self._part = min(part, count)
-
-
-def _rays_of(progress: Progress | None, begin: int, count: int, total: int) -> Progress | None:
-    """Convert progress in steps (a ray may take two) into progress in rays."""
-    if progress is None:
-        return None
-    shown = part_of(progress, begin, total)
-    assert shown is not None
-    return lambda done, steps: shown(count * done // max(steps, 1), total)

@@ -9,7 +9,9 @@ import numpy as np
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
+from raystream.jit.constants import NULL
 from raystream.jit.threads import thread_count
+from raystream.kernels.aligned import array_address
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
@@ -50,10 +52,12 @@ class Batch(NamedTuple):
 
     @property
     def results(self) -> ResultAddresses:
-        """Where the kernels of nearest and any hits in float32 write."""
+        """Where the kernels of nearest and any hits write."""
+        status = np.uint64(array_address(self.sink.status))
         if self.wants_any:
-            return ResultAddresses.of_any(self.sink.seen, self.sink.status)
-        return ResultAddresses.of_first(self.sink.memory, self.sink.status)
+            seen = np.uint64(array_address(self.sink.seen))
+            return ResultAddresses(NULL, NULL, NULL, NULL, seen, status)
+        return ResultAddresses(*self.sink.nearest, NULL, status)
 
     def packets(self, frame: SceneFrame) -> PacketSource:
         """The rays as packets."""
@@ -127,6 +131,10 @@ class BatchKernel(NamedTuple):
     is_tiled: bool = False
 
 
+#: Chooses kernels by coherence, rays and bytes of the tree; see `BatchKernels`.
+Suited = Callable[["Coherence", int, int], tuple[str, ...]]
+
+
 class BatchKernels(NamedTuple):
     """A structure's kernels for a query.
 
@@ -144,7 +152,7 @@ class BatchKernels(NamedTuple):
     """
 
     kernels: Mapping[str, BatchKernel]
-    suited: Callable[[Coherence, int, int], tuple[str, ...]] | None = None
+    suited: Suited | None = None
     few: int = 0
     kernel_for_few: str = SINGLE
 
@@ -156,3 +164,29 @@ class BatchKernels(NamedTuple):
         if name == "auto":
             return self.kernel_for_few if ray_count <= self.few else name
         return name if name in self.kernels else SINGLE
+
+
+def by_kind(
+    nearest: BatchKernels,
+    all_hits: tuple[BatchKernel, BatchKernel],
+    suited: Suited | None = None,
+) -> dict[Kind, BatchKernels]:
+    """A structure's kernels by the kind of query.
+
+    Parameters
+    ----------
+    nearest : BatchKernels
+        For first and any hits.
+    all_hits : tuple of two BatchKernel
+        By packets: for all hits, and for their numbers.
+    suited : callable, optional
+        See `BatchKernels`, for these two [default: that of `nearest`].
+    """
+    suited, few = suited or nearest.suited, nearest.few
+    visited, counted = (BatchKernels({"packet": one}, suited, few) for one in all_hits)
+    return {
+        Kind.FIRST_HIT: nearest,
+        Kind.ANY_HIT: nearest,
+        Kind.MULTI_HIT: visited,
+        Kind.COUNT_HITS: counted,
+    }

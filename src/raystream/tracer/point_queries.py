@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import operator
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_least
 from raystream.core.closest_points import ClosestPoints
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_real_array, as_vectors, broadcast
@@ -114,10 +114,7 @@ class PointQueries(RayCaster):
         >>> tracer.closest_points([278.0, 273.0, 280.0], 3).prim_id.tolist()
         [30, 23, 28]
         """
-        count = operator.index(k)
-        if count < 1:
-            raise ValueError(f"k: expected a number of triangles >= 1, got {k}")
-        return self._nearest(points, count, max_distance, progress)
+        return self._nearest(points, check_least("k", k, 1), max_distance, progress)
 
     def signed_distance(
         self,

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from raystream.core.query import Kind
 from raystream.geometry.instances.groups import BLOCK_PACKETS, CALL_BYTES, trace_instances
 from raystream.geometry.instances.in_flight import trace_instance_wavefront
 from raystream.geometry.instances.packets import INSTANCES
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls, CallSize
+from raystream.structures.batch_kernels import (
+    Batch,
+    BatchKernel,
+    BatchKernels,
+    Calls,
+    CallSize,
+    by_kind,
+)
 from raystream.structures.bvh.coherence import Coherence
 from raystream.structures.bvh.kernel_choice import NEAREST_SIZE, nearest_kernel
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
@@ -48,13 +54,7 @@ def _suited_to_all(coherence: Coherence, count: int, byte_count: int) -> tuple[s
     return ("packet",) if coherence.narrow >= 0.5 else ("single",)
 
 
-_VISITED, _COUNTED = all_hits_kernels(INSTANCES)
-_NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
-
 #: The kernels by the kind of query, for trees that are not empty.
-BATCH_KERNELS = {
-    Kind.FIRST_HIT: _NEAREST,
-    Kind.ANY_HIT: _NEAREST,
-    Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited_to_all, _FEW),
-    Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, _suited_to_all, _FEW),
-}
+BATCH_KERNELS = by_kind(
+    BatchKernels(_KERNELS, _suited, _FEW), all_hits_kernels(INSTANCES), _suited_to_all
+)

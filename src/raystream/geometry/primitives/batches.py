@@ -8,7 +8,13 @@ from raystream.core.query import Kind
 from raystream.geometry.primitives.in_flight import PrimitiveTrees, trace_primitive_wavefront
 from raystream.geometry.primitives.packets import PRIMITIVES
 from raystream.jit.constants import ZERO_U64
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
+from raystream.structures.batch_kernels import (
+    Batch,
+    BatchKernel,
+    BatchKernels,
+    Calls,
+    by_kind,
+)
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
 from raystream.structures.bvh.kernel_choice import (
     CACHED_BYTES,
@@ -33,7 +39,7 @@ def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
 
 _PACKET = nearest_kernel(packet_kernel(PRIMITIVES, NEAREST))
 _IN_FLIGHT = BatchKernel(_wavefront, IN_FLIGHT_SIZE, by_packets=False)
-_VISITED, _COUNTED = all_hits_kernels(PRIMITIVES)
+_ALL_HITS = all_hits_kernels(PRIMITIVES)
 
 
 def batch_kernels(sphere_bytes: int) -> dict[Kind, BatchKernels]:
@@ -51,9 +57,4 @@ def batch_kernels(sphere_bytes: int) -> dict[Kind, BatchKernels]:
 
     in_flight = {"wavefront": _IN_FLIGHT} if sphere_bytes else {}
     nearest = BatchKernels({"packet": _PACKET, **in_flight}, suited, SMALL_BATCH)
-    return {
-        Kind.FIRST_HIT: nearest,
-        Kind.ANY_HIT: nearest,
-        Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, suited, SMALL_BATCH),
-        Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, suited, SMALL_BATCH),
-    }
+    return by_kind(nearest, _ALL_HITS)

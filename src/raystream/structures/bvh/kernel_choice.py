@@ -6,11 +6,17 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from raystream.core.query import Kind
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls, CallSize
+from raystream.structures.batch_kernels import (
+    Batch,
+    BatchKernel,
+    BatchKernels,
+    Calls,
+    CallSize,
+    by_kind,
+)
 from raystream.structures.bvh.coherence import Coherence, choose_kernel, rivals
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
+from raystream.structures.bvh.packets.multi_hit import SourceOf, all_hits_kernels, plain_source
 from raystream.structures.bvh.packets.queries import NEAREST, TREES, NearestWanted, packet_kernel
 from raystream.structures.bvh.ray_groups.queries import trace_groups
 from raystream.structures.bvh.ray_groups.rays import BLOCK_PACKETS, MEMORY_BYTES
@@ -41,16 +47,21 @@ def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
 NEAREST_SIZE = CallSize(4, 64)
 
 
-def _nearest_of(trace: Callable[..., object], structure: Structure, batch: Batch) -> Calls:
+def _nearest_of(
+    trace: Callable[..., object], source_of: SourceOf, structure: Structure, batch: Batch
+) -> Calls:
     wanted = NearestWanted(batch.wants_any, batch.query.on_hit, batch.results)
-    return trace, (structure.view, batch.packets(structure.frame), wanted)
+    return trace, (structure.view, source_of(structure, batch), wanted)
 
 
 def nearest_kernel(
-    trace: Callable[..., object], size: CallSize = NEAREST_SIZE, is_tiled: bool = True
+    trace: Callable[..., object],
+    size: CallSize = NEAREST_SIZE,
+    is_tiled: bool = True,
+    source_of: SourceOf = plain_source,
 ) -> BatchKernel:
     """The kernel that finds the nearest or any hits, as a function for a `NearestWanted`."""
-    return BatchKernel(partial(_nearest_of, trace), size, is_tiled=is_tiled)
+    return BatchKernel(partial(_nearest_of, trace, source_of), size, is_tiled=is_tiled)
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
@@ -70,12 +81,5 @@ _NEAREST = {
 }
 _FIRST_OR_ANY = BatchKernels(_NEAREST, _suited, SMALL_BATCH, "wavefront")
 
-_VISITED, _COUNTED = all_hits_kernels(TREES)
-
 #: The kernels by the kind of query, for trees that are not empty.
-BATCH_KERNELS = {
-    Kind.FIRST_HIT: _FIRST_OR_ANY,
-    Kind.ANY_HIT: _FIRST_OR_ANY,
-    Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited, SMALL_BATCH),
-    Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, _suited, SMALL_BATCH),
-}
+BATCH_KERNELS = by_kind(_FIRST_OR_ANY, all_hits_kernels(TREES))
