@@ -331,7 +331,7 @@ def test_more_hits_than_memory_are_refused(monkeypatch):
     with pytest.raises(MemoryError, match=refused):
         tracer.multi_hit(*rays)
     # Room for a buffer of four hits, but not for all ten.
-    monkeypatch.setattr("raystream.machines.branching.FIRST_CAPACITY", 4)
+    monkeypatch.setattr("raystream.structures.single_kernels.FIRST_CAPACITY", 4)
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 4 * 16)
     assert len(tracer.multi_hit(rays[0][:3], rays[1]).t) == 3
     with pytest.raises(MemoryError, match=refused):

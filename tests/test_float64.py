@@ -15,7 +15,8 @@ import raystream as rs
 from cases import CASES
 from exact_oracle import hits_of
 from meshes import dented_sphere, icosphere, soup
-from raystream.machines import Branching, branching
+from raystream.machines import Branching
+from raystream.structures import single_kernels
 
 KERNELS = ("auto", "packet", "groups", "single")
 COLUMNS = ("t", "u", "v", "prim_id", "status")
@@ -272,8 +273,8 @@ def test_all_hits_take_one_search_in_buffers_that_grow(structure, rng, monkeypat
     tracer = rs.Tracer(scene, structure, precision="float64")
     counts, first = tracer.count_hits(*rays), tracer.first_hit(*rays)
     assert counts.max() > 3
-    monkeypatch.setattr(Branching, "trace_singly", None)  # which a second search would call
-    monkeypatch.setattr(branching, "FIRST_CAPACITY", 2)
+    monkeypatch.setattr(Branching, "count_then_fill", None)  # which takes two searches
+    monkeypatch.setattr(single_kernels, "FIRST_CAPACITY", 2)
     many = tracer.multi_hit(*rays)
     assert np.diff(many.ray_splits).tolist() == counts.tolist()
     nearest = many.ray_splits[:-1][counts > 0]

@@ -61,10 +61,6 @@ STREAMS_MAY_IMPORT = ("raystream.core.errors", "raystream.jit")
 
 MAX_LINES = 500
 
-#: A circle that is left: a context makes the bands of a multipass machine, whose loops know all
-#: renderers.
-LEFT = {("raystream.rendering.integrator", "raystream.rendering.ray_loops")}
-
 
 def imported_names(tree: ast.AST, package: str) -> Iterator[tuple[int, str]]:
     """Yield line and dotted name of every import, in functions and type-checking blocks too.
@@ -152,7 +148,7 @@ def find_circle(source: Path) -> list[str]:
         package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         for _, imported in imported_names(tree, package):
             target = imported if imported in paths else imported.rpartition(".")[0]
-            if target in paths and target != name and (name, target) not in LEFT:
+            if target in paths and target != name:
                 graph[name].add(target)
     try:
         TopologicalSorter(graph).prepare()

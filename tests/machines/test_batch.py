@@ -11,6 +11,7 @@ import raystream as rs
 from conftest import assert_same_bits
 from meshes import soup
 from raystream.machines import batch
+from raystream.structures.batch_kernels import CallSize
 
 TRACERS = ({}, {"precision": "float64"})
 
@@ -59,20 +60,19 @@ def test_threads_do_not_share_memory(spare, rng):
 
 def test_an_interrupted_call_gives_no_memory_back(spare, monkeypatch):
     """A thread may still write to it."""
-    kernel = batch.BatchKernel(lambda *_: None, 1, 1, by_packets=False, memory_bytes=64)
 
     def interrupted(begin, end, memory):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        batch._call_kernel(kernel, (interrupted, ()), batch._NO_ORDER, (0, 1), None)
+        batch.run_calls((interrupted, ()), (0, 1), CallSize(1, 1, memory_bytes=64))
     assert spare == []
 
 
 def test_large_memory_is_not_kept(spare, monkeypatch):
     monkeypatch.setattr(batch, "_MOST_SPARE_BYTES", 1024)
     for byte_count in (1025, 1024):
-        batch.run_calls((lambda *_: None, ()), (0, 3), 1, 1, memory_bytes=byte_count)
+        batch.run_calls((lambda *_: None, ()), (0, 3), CallSize(1, 1, memory_bytes=byte_count))
     assert {memory.nbytes for memory in spare} == {1024}
 
 
@@ -87,29 +87,29 @@ def test_calls_cover_all_items(block):
 
     for progress in (None, lambda done, count: steps.append((done, count))):
         calls.clear()
-        batch.run_calls((call, ("argument",)), (3, 50), 8, 9, progress, block=block)
+        size = CallSize(8, 9, block, share=4)
+        batch.run_calls((call, ("argument",)), (3, 50), size, progress)
         calls.sort()
         assert [begin for begin, _ in calls] + [50] == [3] + [end for _, end in calls]
         assert {end - begin for begin, end in calls[:-1]} <= {8, 9}
     assert steps[-1] == (47, 47)
     calls.clear()
-    batch.run_calls((call, ("argument",)), (5, 5), 8, 9)
-    batch.run_calls((call, ("argument",)), (5, 12), 8, 9)
+    batch.run_calls((call, ("argument",)), (5, 5), size)
+    batch.run_calls((call, ("argument",)), (5, 12), size)
     assert calls == [(5, 12)]
 
 
 def test_kernels_run_in_turn_for_what_is_undecided():
     asked, steps = [], []
 
-    def decides(divisor):
-        def run(items, progress):
+    def decides(divisor, least=1):
+        def bind(items):
             asked.append(items.tolist())
-            progress(len(items), len(items))
-            return items % divisor == 0
+            return (lambda begin, end: None, ()), lambda: items % divisor == 0
 
-        return run
+        return batch.DecidingKernel(bind, CallSize(16, 16), least)
 
     note = lambda done, count: steps.append((done, count))  # noqa: E731
-    batch.run_in_turn([decides(2), decides(3), decides(1), decides(1)], 8, note)
+    batch.run_in_turn([decides(1, 9), decides(2), decides(3), decides(1), decides(1)], 8, note)
     assert asked == [[0, 1, 2, 3, 4, 5, 6, 7], [1, 3, 5, 7], [1, 5, 7]]
-    assert steps == [(8, 8), (8, 8), (8, 8)]
+    assert steps == [(8, 8)] * 4

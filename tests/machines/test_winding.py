@@ -10,8 +10,22 @@ from hypothesis import strategies as st
 import raystream as rs
 from meshes import dented_sphere, grid_floor, icosphere, soup, sticks
 from raystream.machines import winding
-from raystream.machines.winding import _by_tree, _exact
+from raystream.machines.batch import run_calls
 from test_closest_point import scenes_and_points
+
+
+def by_tree(triangles, points, opening):
+    """Winding numbers, and bounds of their errors."""
+    calls, *found = winding._tree_sums(triangles, points, opening)
+    run_calls(calls, (0, len(points)), winding._TREE_CALLS)
+    return found
+
+
+def exactly(triangles, points):
+    """Winding numbers by the sum over all triangles."""
+    (sums, arguments), found = winding._exact_sums(triangles, points)
+    sums(0, len(points), *arguments)
+    return found
 
 
 def open_sphere(level):
@@ -65,9 +79,9 @@ def test_errors_are_within_their_bounds(name):
     """A wrong term of the expansion exceeds the bound where groups are far away."""
     triangles = triangles_of(name)
     points = points_of(triangles, 1000)
-    exact = _exact(triangles, points, None)
+    exact = exactly(triangles, points)
     for opening in (0.9, 0.5, 0.3, 0.1, 0.03, 0.01):
-        found, errors = _by_tree(triangles, points, opening, None)
+        found, errors = by_tree(triangles, points, opening)
         assert (np.abs(found - exact) <= errors).all(), opening
         if opening <= 0.1:
             # Four terms of the third power, twice the area; soups and needles have more of it.
@@ -88,8 +102,8 @@ def test_bounds_hold_for_any_triangles(drawn, opening):
     # On the surface exact sums count no solid angle at a corner or an edge.
     away = np.abs(local[:, None] - corners).max(axis=2).min(axis=1) > 1e-6 * np.ptp(corners)
     local = np.concatenate([local[away], corners.max(axis=0) + np.eye(3) * np.ptp(corners)])
-    found, errors = _by_tree(triangles, local, opening, None)
-    off = np.abs(found - _exact(triangles, local, None))
+    found, errors = by_tree(triangles, local, opening)
+    off = np.abs(found - exactly(triangles, local))
     # By whole turns where a point is in the plane of a triangle: there the sides are by chance.
     assert (np.abs(off - np.round(off)) <= errors + 1e-9).all()
     assert (off[-3:] <= errors[-3:] + 1e-9).all()  # outside, where no side is in doubt
@@ -100,7 +114,7 @@ def test_expansions_are_the_sums_of_numpy():
     points = points_of(triangles, 20)
     corners = triangles.corners[triangles.prim_ids].astype(np.float64)
     expected = [half_angles(point, corners).sum() / (2.0 * np.pi) for point in points]
-    found, errors = _by_tree(triangles, points, 0.1, None)
+    found, errors = by_tree(triangles, points, 0.1)
     assert (np.abs(found - expected) <= errors + 1e-12).all()
 
 
@@ -113,8 +127,8 @@ def test_insides_are_those_of_exact_sums(name, monkeypatch):
         local = np.concatenate([local, local.mean(axis=0) + line])
     points = local / triangles.scale + triangles.center
     expected = np.abs(winding.winding_of(triangles, points)) > 0.5
-    summed = []
-    monkeypatch.setattr(winding, "_exact", lambda *given: summed.append(given[1]) or _exact(*given))
+    summed, sums = [], winding._exact_sums
+    monkeypatch.setattr(winding, "_exact_sums", lambda *of: summed.append(of[1]) or sums(*of))
     found = winding.inside_by_winding(triangles, points)
     np.testing.assert_array_equal(found, expected)
     # Near a flat sheet all numbers are almost 1/2.

@@ -7,7 +7,7 @@ import raystream as rs
 from conftest import assert_same_bits
 from meshes import dented_sphere
 from programs.layers import layers_scene
-from raystream.machines import branching
+from raystream.structures import single_kernels
 from raystream.structures.bvh.packets import multi_hit as packet_multi_hit
 
 RECORD = np.dtype([("hits", "i4"), ("ids", "i8"), ("rays", "i8"), ("near", "f4"), ("far", "f4")])
@@ -112,7 +112,7 @@ def test_buffers_grow(way, monkeypatch):
     expected = tracer.multi_hit(*rays)
     nearest = tracer.multi_hit(*rays, max_hits=7)
     assert expected.counts.max() == 90
-    monkeypatch.setattr(branching, "FIRST_CAPACITY", 1)
+    monkeypatch.setattr(single_kernels, "FIRST_CAPACITY", 1)
     monkeypatch.setattr(packet_multi_hit, "FIRST_CAPACITY", 16)
     for most, wanted in ((None, expected), (7, nearest)):
         found = tracer.multi_hit(*rays, max_hits=most)

@@ -1,5 +1,6 @@
 """The steps of a search in the BVH, run one at a time on rays whose state is in memory."""
 
+import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -282,11 +283,12 @@ def slots_for(ray_count, capacity):
     return Slots(np.arange(ray_count, dtype=np.uint64) * np.uint64(capacity), each)
 
 
-def answered(structure, kind, rays, surfaces=False):
+def answered(structure, kind, rays, surfaces=False, most=UNLIMITED):
     """Hits of the branching machine for local rays, one by one."""
-    query, frame = Query(kind, surfaces), SceneFrame.identity(structure.triangles)
+    query, local = Query(kind, surfaces, most), copy.copy(structure)
+    local.frame, local.many_ray_kernels = SceneFrame.identity(structure.triangles), {}
     sink = Sink.of(query, len(rays.t_max))
-    Branching(structure).trace_singly(query, RayBatch(*rays), sink, frame=frame)
+    Branching(local).run(query, RayBatch(*rays), sink)
     return sink
 
 
@@ -314,13 +316,11 @@ def test_steps_give_the_bits_of_brute_force_and_the_tallies_of_traverse(pair, rn
             np.cumsum(np.minimum(wanted, most), out=splits[1:])
             rows = Slots(splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64))
             some = Slots(rows.first, np.maximum(rows.capacity, 1))  # a miss keeps none
-            filled = Sink(np.zeros(count, np.uint8))
-            filled.splits, filled.hits = splits, new_hits(some, True)
-            query, frame = Query(Kind.MULTI_HIT, surfaces), SceneFrame.identity(brute.triangles)
-            Branching(brute).trace_singly(query, RayBatch(*rays), filled, frame=frame)
+            filled = answered(brute, Kind.MULTI_HIT, rays, surfaces, most)
+            assert_same_bits(filled.splits, splits)
             _, many, _ = both(structure, rays, surfaces, True, some)
             for column, right in zip(many, filled.hits, strict=True):
-                assert_same_bits(column, right)
+                assert_same_bits(column[: splits[-1]], right)
 
 
 def test_the_tally_counts_real_triangles_of_leaves_entered():

@@ -284,8 +284,8 @@ def test_progress_and_interrupts():
 def test_long_lists_make_short_calls():
     """Otherwise Ctrl-C would be delayed."""
     mesh = soup(20_000, 1, 0.02)
-    assert build(*mesh, resolution=1).rays_per_call() < 300
-    assert build(*mesh).rays_per_call() == 4096
+    assert build(*mesh, resolution=1).rays_per_call < 300
+    assert build(*mesh).rays_per_call == 4096
 
 
 # ---- Files.

@@ -7,8 +7,9 @@ import pytest
 
 import raystream as rs
 from raystream.core.query import Kind
-from raystream.machines import batch, race
-from raystream.machines.race import LEAST_RACE, Races, run_fastest, run_race
+from raystream.machines import batch
+from raystream.machines import race as races_of_kernels
+from raystream.machines.race import LEAST_RACE, Races, race
 from raystream.structures.bvh.kernel_choice import BATCH_KERNELS
 
 COUNT = 100_000
@@ -21,18 +22,21 @@ class FakeKernels:
         self.rates, self.now = rates, 0.0
         self.rays = dict.fromkeys(rates, 0)
         self.pieces = []
-        monkeypatch.setattr(race, "clock", lambda: self.now)
+        monkeypatch.setattr(races_of_kernels, "clock", lambda: self.now)
 
-    def run(self, name, begin, end, progress):
+    def run(self, name, begin, end):
         self.now += self.rates[name] * (end - begin)
         self.rays[name] += end - begin
         self.pieces.append((begin, end))
-        if progress:
-            progress(end - begin, end - begin)
 
 
-def run(kernels, races, names, count=COUNT, cut=lambda ray: min(ray, COUNT), progress=None):
-    run_race(names, count, cut, kernels.run, races, "kind", progress)
+def to_end(ray):
+    return min(ray, COUNT)
+
+
+def run(trace, races, names, cut=to_end, kind="kind", cold=()):
+    for piece in race(races, kind, names, cold, COUNT, cut):
+        trace(*piece)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +51,7 @@ def run(kernels, races, names, count=COUNT, cut=lambda ray: min(ray, COUNT), pro
 )
 def test_the_fastest_wins(monkeypatch, rates, winner):
     kernels, races = FakeKernels(monkeypatch, **rates), Races()
-    run(kernels, races, tuple(rates))
+    run(kernels.run, races, tuple(rates))
     assert races.fastest("kind", tuple(rates)) == winner
     assert kernels.rays[winner] > 0.5 * COUNT
 
@@ -58,17 +62,17 @@ def test_a_disturbance_does_not_decide(monkeypatch, disturbed):
     kernels, races = FakeKernels(monkeypatch, a=1.0, b=1.5), Races()
     numbers = iter(range(100))
 
-    def run_disturbed(name, begin, end, progress):
+    def run_disturbed(name, begin, end):
         kernels.rates["a"] = 10.0 if name == "a" and next(numbers) == disturbed else 1.0
-        kernels.run(name, begin, end, progress)
+        kernels.run(name, begin, end)
 
-    run_race(("a", "b"), COUNT, lambda ray: min(ray, COUNT), run_disturbed, races, "kind", None)
+    run(run_disturbed, races, ("a", "b"))
     assert races.fastest("kind", ("a", "b")) == "a"
 
 
 def test_a_slow_rival_costs_little(monkeypatch):
     kernels = FakeKernels(monkeypatch, a=1.0, b=2.5)
-    run(kernels, Races(), ("a", "b"))
+    run(kernels.run, Races(), ("a", "b"))
     assert kernels.rays["b"] <= 0.05 * COUNT
 
 
@@ -77,63 +81,55 @@ def test_each_ray_is_traced_once(monkeypatch, step):
     def cut(ray):
         return COUNT if ray >= COUNT else ray // step * step
 
-    kernels, reports = FakeKernels(monkeypatch, a=1.0, b=0.5), []
-    run(kernels, Races(), ("a", "b"), cut=cut, progress=lambda *now: reports.append(now))
+    kernels = FakeKernels(monkeypatch, a=1.0, b=0.5)
+    run(kernels.run, Races(), ("a", "b"), cut)
     pieces = sorted(kernels.pieces)
     assert [begin for begin, _ in pieces] == [0, *(end for _, end in pieces[:-1])]
     assert pieces[-1][1] == COUNT
-    assert reports == sorted(reports)
-    assert reports[-1] == (COUNT, COUNT)
 
 
 def test_races_become_rare():
-    races, names = Races(), ("a", "b")
-    due = [number for number in range(1, 40) if races.plan("kind", names, True)[1]]
+    races = Races()
+    due = [number for number in range(1, 40) if races.is_due("kind", True)]
     assert due == [1, 2, 4, 8, 16, 32]
-    due = [number for number in range(1, 40) if races.plan("other", names, False)[1]]
+    due = [number for number in range(1, 40) if races.is_due("other", False)]
     assert due == [4, 8, 16, 32]
 
 
 def test_the_winner_is_remembered_for_its_kind_only():
     races = Races()
     races.learn("kind", {"a": 2.0, "b": 1.0})
-    assert races.plan("kind", ("a", "b"), True)[0] == "b"
-    assert races.plan("other", ("a", "b"), True)[0] == "a"
+    assert races.fastest("kind", ("a", "b")) == "b"
+    assert races.fastest("other", ("a", "b")) == "a"
 
 
 def test_one_race_runs_at_a_time(monkeypatch):
     """A batch that another race traces meanwhile is traced by one kernel, and not timed."""
     kernels, times, inner = FakeKernels(monkeypatch, a=1.0, b=1.0), {}, []
 
-    def note(name, begin, end, progress):
-        inner.append((name, begin, end))
-
-    def outer(name, begin, end, progress):
+    def outer(name, begin, end):
         if not inner:
-            run_fastest(("a", "b"), COUNT, lambda ray: ray, note, Races(times), "inner", None, [])
-        kernels.run(name, begin, end, progress)
+            run(lambda *piece: inner.append(piece), Races(times), ("a", "b"), kind="inner")
+        kernels.run(name, begin, end)
 
-    def cut(ray):
-        return min(ray, COUNT)
-
-    run_fastest(("a", "b"), COUNT, cut, outer, Races(times), "outer", None, [])
+    run(outer, Races(times), ("a", "b"), kind="outer")
     assert inner == [("a", 0, COUNT)]
     assert sum(kernels.rays.values()) == COUNT
     assert times["outer"].rates.keys() == {"a", "b"}
     assert not times["inner"].rates
-    assert Races(times).plan("inner", ("a", "b"), True) == ("a", True)  # its second batch
+    assert Races(times).is_due("inner", True)  # its second batch
 
 
 def test_an_interrupt_teaches_nothing(monkeypatch):
     kernels, races = FakeKernels(monkeypatch, a=1.0, b=0.1), Races()
 
-    def interrupted(name, begin, end, progress):
+    def interrupted(name, begin, end):
         if name == "b":
             raise KeyboardInterrupt
-        kernels.run(name, begin, end, progress)
+        kernels.run(name, begin, end)
 
     with pytest.raises(KeyboardInterrupt):
-        run_race(("a", "b"), COUNT, lambda ray: ray, interrupted, races, "kind", None)
+        run(interrupted, races, ("a", "b"))
     assert races.fastest("kind", ("a", "b")) == "a"
 
 
@@ -144,19 +140,20 @@ def test_bits_do_not_depend_on_the_winner(monkeypatch, rng):
     directions = rng.normal(size=origins.shape).astype(np.float32)
     want = rs.Tracer(scene, kernel="single").first_hit(origins, directions)
     kernels = BATCH_KERNELS[Kind.FIRST_HIT].kernels
-    call_kernel = batch._call_kernel
+    trace_piece = batch._trace_piece
     for fastest in ("groups", "wavefront"):
         tracer, now, used = rs.Tracer(scene), [0.0], []
 
-        def timed(kernel, body, order, rays, progress, fastest=fastest, now=now, used=used):
-            call_kernel(kernel, body, order, rays, progress)
+        def timed(kernel, *shared, fastest=fastest, now=now, used=used):
+            trace_piece(kernel, *shared)
+            *_, rays, _ = shared
             used.append(next(name for name, one in kernels.items() if one is kernel))
             now[0] += (rays[1] - rays[0]) * (1.0 if used[-1] == fastest else 1.9)
 
         with monkeypatch.context() as patch:
-            patch.setattr(batch, "_call_kernel", timed)
+            patch.setattr(batch, "_trace_piece", timed)
             patch.setattr(batch, "_loaded", {(one.bind, False) for one in kernels.values()})
-            patch.setattr(race, "clock", lambda now=now: now[0])
+            patch.setattr(races_of_kernels, "clock", lambda now=now: now[0])
             for _ in range(3):
                 got = tracer.first_hit(origins, directions)
                 for name in ("t", "u", "v", "prim_id"):
@@ -169,12 +166,14 @@ def test_a_kernel_that_must_be_loaded_is_not_timed(monkeypatch):
     kernels, races = FakeKernels(monkeypatch, a=1.0, b=0.5), Races()
     loaded = set()
 
-    def run(name, begin, end, progress):
+    def loading(name, begin, end):
         if name == "b" and name not in loaded:
             loaded.add(name)
-            kernels.run(name, begin, begin + 1000 * (end - begin), progress)
+            kernels.run(name, begin, begin + 1000 * (end - begin))
         else:
-            kernels.run(name, begin, end, progress)
+            kernels.run(name, begin, end)
 
-    run_race(("a", "b"), COUNT, lambda ray: ray, run, races, "kind", None, ["b"])
+    for _ in range(3):  # the first batches are not raced
+        races.is_due("kind", False)
+    run(loading, races, ("a", "b"), cold=["b"])
     assert races.fastest("kind", ("a", "b")) == "b"

@@ -18,7 +18,7 @@ from raystream.kernels.hits import HitArrays, Sink
 from raystream.kernels.queries import ray_queries
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.search import is_full
-from raystream.machines import Branching
+from raystream.machines.batch import trace_batch
 from raystream.structures import STRUCTURES, build_structure
 from raystream.structures.brute.traversal import traverse as in_brute
 from raystream.structures.bvh.traversal import traverse as in_bvh
@@ -26,6 +26,7 @@ from raystream.structures.bvh.walks.single import STACK_BYTES
 from raystream.structures.graph.traversal import traverse as in_graph
 from raystream.structures.grid.traversal import traverse as in_grid
 from raystream.structures.kdtree.traversal import traverse as in_kdtree
+from raystream.structures.single_kernels import with_single
 
 _NOWHERE = np.uint64(0)
 
@@ -99,21 +100,24 @@ def case(request, rng):
         queries=QUERIES,
         view_for=lambda *_: arrays,
         frame=SceneFrame.of(triangles),
-        rays_per_call=lambda: 100,
+        rays_per_call=100,
         least_rays=256,
+        many_ray_kernels={},
+        options=None,
         parts=parts,  # whose arrays are read by address
     )
-    return Branching(brute), Branching(together), batch
+    together.batch_kernels = with_single(together)
+    return brute, together, batch
 
 
 def answers(case, query, fill=None):
     """The hits of brute force, and of all structures together."""
-    *backends, batch = case
-    for backend in backends:
+    *structures, batch = case
+    for structure in structures:
         sink = Sink.of(query, len(batch))
         if fill is not None:
             sink.splits, sink.hits = fill, HitArrays.empty(int(fill[-1]))
-        backend.trace_singly(query, batch, sink)
+        trace_batch(structure, query, batch, sink)
         yield sink
 
 

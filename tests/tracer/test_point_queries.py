@@ -113,7 +113,7 @@ def test_bad_points_are_reported(structure):
         ({"points": [[0, 0, 0]], "max_distance": np.nan}, ValueError, "max_distance: expected"),
         ({"points": [[0, 0, 0]], "max_distance": [1, 2]}, ValueError, "does not broadcast"),
         ({"points": [[0, 0, 0]], "max_distance": "far"}, TypeError, "max_distance: expected"),
-        ({"points": [[0, 0, 0]], "k": 0}, ValueError, "k: expected a number of triangles >= 1"),
+        ({"points": [[0, 0, 0]], "k": 0}, ValueError, "k: expected at least 1"),
         ({"points": [[0, 0, 0]], "k": 1.5}, TypeError, "integer"),
         ({"points": [[0, 0, 0]], "k": 2**40}, MemoryError, "smaller k"),
     ],

@@ -6,7 +6,7 @@ import itertools
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 from raystream.core.checks import check_least
@@ -30,19 +30,46 @@ def chunk_size(count: int, most: int) -> int:
     return min(max(count >> 3, 1 << 12), most)
 
 
-def part_of(
-    progress: Progress | None, first: int, total: int, count: int | None = None
-) -> Progress | None:
-    """Progress callback of one of several loops, which begins after `first` of `total` steps.
+def part_of(progress: Progress | None, first: int, count: int, total: int) -> Progress | None:
+    """Progress callback of `count` of `total` steps, after the `first` ones.
 
-    The loop is `count` of these, whatever its own number of steps [default: its own number].
+    The part may count in steps of its own.
     """
     if progress is None:
         return None
     whole = progress
-    if count is None:
-        return lambda done, _: whole(first + done, total)
-    return lambda done, steps: whole(first + count * done // max(steps, 1), total)
+
+    def report(done: int, steps: int) -> object:
+        return whole(first + (count * done // steps if steps else count), total)
+
+    return report
+
+
+def parts(
+    count: int, size: int | Callable[[int], int], progress: Progress | None = None
+) -> Iterator[tuple[slice, Progress | None]]:
+    """Cut a range into parts that are done one after another.
+
+    Parameters
+    ----------
+    count : int
+        Length of the range.
+    size : int or callable
+        Length of a part; or ``size(left)`` of the next one, if that many items are left.
+    progress : callable, optional
+        Called with (items done, count).
+
+    Yields
+    ------
+    slice, callable or None
+        A part, and its progress callback.
+    """
+    begin = 0
+    while begin < count:
+        length = size if isinstance(size, int) else size(count - begin)
+        end = min(begin + length, count)
+        yield slice(begin, end), part_of(progress, begin, end - begin, count)
+        begin = end
 
 
 def rising(progress: Progress | None) -> Progress | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -266,6 +267,12 @@ def _check_hits(count: int, kind: type[np.floating[Any]] = np.float32) -> None:
     check_memory(count * HitArrays.row_bytes(kind), f"multi_hit: {count:,} hits would", remedy)
 
 
+@cache
+def _compile_counting() -> None:
+    """Compile what threads call, on the calling one."""
+    count_rows(np.zeros(1, np.int64), _NO_IDS, 0, np.zeros(0, np.int64))
+
+
 class HitAccumulator:
     """Copies of batches of hits, joined at the end.
 
@@ -284,7 +291,7 @@ class HitAccumulator:
         self._in_order = False
         self._found = 0
         self._unchecked = CHECKED_HITS
-        count_rows(np.zeros(1, np.int64), _NO_IDS, 0, self._counts)  # compile on this thread
+        _compile_counting()
 
     def take(self, found: HitBatch, again: bool = False) -> None:
         """Copy a batch with splits; a `HitVisitor`.
@@ -424,6 +431,14 @@ class Sink:
         elif query.kind is Kind.COUNT_HITS:
             sink.counts = np.empty(count, np.int64)
         return sink
+
+    @property
+    def nearest(self) -> HitAddresses:
+        """Where the hits of `Kind.FIRST_HIT` go."""
+        memory = getattr(self, "memory", None)
+        if memory is None:
+            return HitAddresses.of(self.hits)
+        return HitAddresses.of_rows(array_address(memory), memory.strides[0], item_bytes=1)
 
     def part(self, rows: slice) -> Sink:
         """A view of some consecutive rays; of `Kind.MULTI_HIT`, with all hits."""

@@ -17,6 +17,7 @@ from raystream.core.rays import INVALID, VALID
 from raystream.jit.constants import ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, prefetch, store
+from raystream.jit.threads import thread_count
 from raystream.kernels.nearest import (
     ROW,
     NearestRow,
@@ -30,6 +31,7 @@ from raystream.kernels.ray import SceneFrame
 
 _FLOAT, _DOUBLE, _VECTOR = np.uint64(4), np.uint64(8), np.uint64(24)  # bytes
 _ROW_BYTES = np.uint64(ROW.itemsize)
+_ANSWER_BYTES = 8 + 24 + 4 + 4 + 4  # of a row of the answers
 _STATE_BYTES = np.uint64(64)  # of an answer's memory, before the stack
 _MISS = np.int32(-1)
 
@@ -204,6 +206,12 @@ def step_of(limits: NDArray[np.float64]) -> np.uint64:
 def work_bytes(count: int, capacity: int) -> int:
     """Bytes of memory that a call of a loop needs for `count` points."""
     return 2 * capacity * ROW.itemsize + order_bytes(count)
+
+
+def answer_bytes(count: int, capacity: int) -> int:
+    """Most bytes of the answers for `count` points, and of the calls that find them."""
+    calls = thread_count() * work_bytes(min(count, POINTS_PER_CALL), capacity)
+    return count * capacity * _ANSWER_BYTES + calls
 
 
 @device

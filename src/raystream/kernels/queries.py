@@ -323,10 +323,7 @@ class RayQueries(NamedTuple):
 def output_of(query: Query, sink: Sink) -> Any:
     """Where a query's loop writes: the addresses of a sink's arrays, which must be kept."""
     if query.kind is Kind.FIRST_HIT:
-        memory = getattr(sink, "memory", None)
-        if memory is None:
-            return HitAddresses.of(sink.hits)
-        return HitAddresses.of_rows(array_address(memory), memory.strides[0] // memory.itemsize)
+        return sink.nearest
     if query.kind is Kind.ANY_HIT:
         return np.uint64(array_address(sink.seen))
     if query.kind is Kind.COUNT_HITS:

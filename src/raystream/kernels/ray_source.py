@@ -142,18 +142,6 @@ class ResultAddresses(NamedTuple):
     seen: np.uint64
     status: np.uint64
 
-    @classmethod
-    def of_first(cls, memory: NDArray[np.float32], status: NDArray[np.uint8]) -> ResultAddresses:
-        """Results of a first-hit query: the rows of an array; see `HitArrays.rows_of`."""
-        at, step = array_address(memory), memory.strides[0]
-        places = at, at + step, at + 2 * step, at + 3 * step, 0, array_address(status)
-        return cls._make(np.array(places, np.uint64))
-
-    @classmethod
-    def of_any(cls, seen: NDArray[np.bool_], status: NDArray[np.uint8]) -> ResultAddresses:
-        """Results of an any-hit query; the caller keeps the arrays alive."""
-        return cls(*np.array((0, 0, 0, 0, array_address(seen), array_address(status)), np.uint64))
-
 
 @device
 def _three(at, are_double):

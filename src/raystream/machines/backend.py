@@ -169,12 +169,12 @@ class Backend(ABC):
         else:
             counted = Sink(sink.status, tallies=sink.tallies)
             counted.counts = np.empty(count, np.int64)
-            half = part_of(progress, 0, 2 * count)
+            half = part_of(progress, 0, count, 2 * count)
             self.run(query._replace(kind=Kind.COUNT_HITS), rays, counted, half)
             np.cumsum(counted.counts, out=filled.splits[1:])
         kind = self.structure.triangles.number_type
         filled.hits = allocate_hits(int(filled.splits[-1]), kind)
-        fill(filled, part_of(progress, count, 2 * count))
+        fill(filled, part_of(progress, count, count, 2 * count))
         sink.put(filled.splits, filled.hits)
 
     def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:

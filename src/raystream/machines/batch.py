@@ -1,13 +1,15 @@
 """Batches of rays on the CPU: their order, their kernels, and the calls of these on all threads.
 
-A structure declares its kernels for many rays (`structures.batch_kernels`). Which of them traces a
-batch is said by the structure's option, or by a sample of the rays and, for large batches, by a
-race of those that may be the fastest.
+A structure declares its kernels (`structures.batch_kernels`). Which of them traces a batch is said
+by the structure's option, or by a sample of the rays and, for large batches, by a race of those
+that may be the fastest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +21,16 @@ from raystream.jit.threads import Progress, check_stopped, parallel_for, part_of
 from raystream.kernels.aligned import ALIGNMENT, aligned_array, array_address
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import RaySource
-from raystream.machines.race import LEAST_RACE, Races, run_fastest
+from raystream.machines.race import LEAST_RACE, Races, race
 from raystream.structures import Structure
-from raystream.structures.batch_kernels import Batch, BatchKernel, Calls
+from raystream.structures.batch_kernels import (
+    SINGLE,
+    Batch,
+    BatchKernel,
+    BatchKernels,
+    Calls,
+    CallSize,
+)
 from raystream.structures.bvh.coherence import probe
 from raystream.structures.bvh.packets.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.packets.rays import PacketOrder
@@ -48,129 +57,133 @@ def trace_batch(
     rays: RayBatch,
     sink: Sink,
     progress: Progress | None = None,
-) -> bool:
-    """Run a query with a structure's kernels for many rays, if one suits them.
+) -> None:
+    """Run a query with a structure's kernels.
 
     Parameters
     ----------
     structure : Structure
     query : Query
-        Without counters. Its filter is a `HitFilter` or None.
+        Its filter is a `HitFilter` or None.
     rays : RayBatch
     sink : Sink
-        Of `Kind.MULTI_HIT` with a visitor.
+        Of `Kind.MULTI_HIT` with a visitor; or with `splits` and `hits`, to be traced one by one.
     progress : callable, optional
         Called with (rays done, rays).
-
-    Returns
-    -------
-    bool
-        False if it did nothing: the machine traces the rays one by one.
     """
-    count, has_filter = len(rays), query.on_hit is not None
-    known = structure.batch_kernels.get(query.kind)
-    # Worlds and numbers of hits are for single rays.
-    if known is None or count == 0 or rays.worlds is not None or query.limit != UNLIMITED:
-        return False
-    kernels, name = known.kernels, known.named(structure.options, count)
-    if has_filter:
-        kernels = {key: one for key, one in kernels.items() if one.takes_filter}
-    is_open = name == "auto"
-    if not is_open and name not in kernels:
-        return False
-    is_packed = is_open or kernels[name].by_packets
-    source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, is_packed)
+    table, count = structure.batch_kernels[query.kind], len(rays)
+    # Worlds, counters and numbers of hits are for single rays.
+    is_single = rays.worlds is not None or sink.tallies is not None or query.limit != UNLIMITED
+    name = SINGLE if is_single or count == 0 else table.named(structure.options, count)
+    kernel = table.kernels.get(name)  # None: the rays decide
+    is_packed = kernel is None or kernel.by_packets
+    source, kept = _source_of(rays, is_packed)
     order = BatchOrder(PacketOrder.of(rays.shape)) if is_packed else _NO_ORDER
-    names = [name]
+    names: tuple[str, ...] = (name,)
     kind: tuple[int, ...] = ()
-    if is_open:
-        # What the tree would take in float32 decides how many rays share a node.
-        size = structure.report.byte_count * 4 // np.dtype(structure.precision).itemsize
-        found = probe(source, order.packets, structure.frame, size)
-        suited = known.suited(found, count, size)[: None if count >= LEAST_RACE else 1]
-        if suited[0] not in kernels:
-            return False
-        names = [one for one in suited if one in kernels]
-        kind = query.kind is Kind.ANY_HIT, has_filter, count.bit_length(), *found.kind()
-    is_long = count >= LEAST_RAYS and not order.packets.width
-    if is_long and any(kernels[one].is_tiled for one in names):
+    if kernel is None:
+        kind, names = _suited(structure, query, table, source, order.packets)
+        kernel = table.kernels[names[0]]
+        if names == (SINGLE,):
+            source, kept = _source_of(rays, False)
+    is_long = is_packed and count >= LEAST_RAYS and not order.packets.width
+    if is_long and any(table.kernels[name].is_tiled for name in names):
         order = find_order(source, count, structure.frame)
     batch = Batch(query, rays, sink, source, order.packets)
-
-    def run(name: str, begin: int, end: int, progress: Progress | None) -> None:
-        kernel = kernels[name]
-        _call_kernel(kernel, kernel.bind(structure, batch), order, (begin, end), progress)
-        _loaded.add((kernel.bind, has_filter))
-
     if len(names) == 1:
-        run(names[0], 0, count, progress)
+        report = progress and part_of(progress, 0, count, count)  # it may count packets
+        _trace_piece(kernel, structure, batch, order, (0, count), report)
     else:
-        cold = [one for one in names if (kernels[one].bind, has_filter) not in _loaded]
-        races = Races(structure.kernel_times)
-        run_fastest(names, count, lambda ray: order.cut(ray).ray, run, races, kind, progress, cold)
+        cold = [name for name in names if _key_of(table.kernels[name], query) not in _loaded]
+        races, done = Races(structure.kernel_times), 0
+        with closing(
+            race(races, kind, names, cold, count, lambda ray: order.cut(ray).ray)
+        ) as pieces:
+            for name, begin, end in pieces:
+                report = part_of(progress, done, end - begin, count)
+                _trace_piece(table.kernels[name], structure, batch, order, (begin, end), report)
+                done += end - begin
     del kept  # the kernels read it by address
-    return True
+
+
+def _source_of(rays: RayBatch, is_packed: bool) -> tuple[RaySource, object]:
+    """The rays for packets, or for single ones; and what to keep alive."""
+    limits = rays.limits if is_packed else rays.exact_limits
+    return RaySource.of(rays.origins, rays.directions, limits, is_packed)
+
+
+def _suited(
+    structure: Structure, query: Query, table: BatchKernels, source: RaySource, order: PacketOrder
+) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """The kind of a batch, and the kernels that may be the fastest for it, the likeliest first."""
+    count = int(order.ray_count)
+    # What the tree would take in float32 decides how many rays share a node.
+    size = structure.report.byte_count * 4 // np.dtype(structure.precision).itemsize
+    found = probe(source, order, structure.frame, size)
+    assert table.suited is not None
+    best, *rivals = table.suited(found, count, size)
+    if best not in table.kernels:
+        best, rivals = SINGLE, []
+    known = [name for name in rivals if name in table.kernels and count >= LEAST_RACE]
+    kind = query.kind is Kind.ANY_HIT, query.on_hit is not None, count.bit_length(), *found.kind()
+    return kind, (best, *known)
+
+
+def _key_of(kernel: BatchKernel, query: Query) -> tuple[Callable[..., object], bool]:
+    """What is loaded together; see `_loaded`."""
+    return kernel.bind, query.on_hit is not None
+
+
+def _trace_piece(
+    kernel: BatchKernel,
+    structure: Structure,
+    batch: Batch,
+    order: BatchOrder,
+    rays: tuple[int, int],
+    progress: Progress | None,
+) -> None:
+    """Trace the rays between two cuts of an order."""
+    begin, end = rays
+    if kernel.by_packets:
+        begin, end = order.cut(begin).packet, order.cut(end).packet
+    run_calls(kernel.bind(structure, batch), (begin, end), kernel.size, progress)
+    _loaded.add((kernel.bind, batch.query.on_hit is not None))
 
 
 def batch_bytes(structure: Structure, kind: Kind, ray_count: int) -> int:
     """Most bytes that `trace_batch` needs besides the results and the hits of `Kind.MULTI_HIT`."""
-    known = structure.batch_kernels.get(kind)
-    if known is None:
-        return 0
-    name = known.named(structure.options, ray_count)
-    used = [one for key, one in known.kernels.items() if name in ("auto", key)]
+    table = structure.batch_kernels[kind]
+    name = table.named(structure.options, ray_count)
+    used = [one for key, one in table.kernels.items() if name in ("auto", key)]
     tables = 2 * ray_count if any(one.is_tiled for one in used) else 0  # of rows and packets
-    return tables + thread_count() * max((one.memory_bytes for one in used), default=0)
-
-
-def call_size(count: int, least: int, most: int, share: int = 4, block: int = 1) -> int:
-    """Rays or packets of a call; see `BatchKernel`.
-
-    Small batches are split among the threads, too, but not so far that starting a call costs more
-    than its rays.
-    """
-    if count <= least:  # without counting threads: that takes 2 us
-        return min(least, most)
-    size = -(-count // (share * thread_count()))
-    if size > block:  # whole blocks
-        size -= size % block
-    return min(most, max(least, size))
+    return tables + thread_count() * max(one.size.memory_bytes for one in used)
 
 
 def run_calls(
-    calls: Calls,
-    items: tuple[int, int],
-    least: int,
-    most: int,
-    progress: Progress | None = None,
-    *,
-    block: int = 1,
-    share: int = 4,
-    memory_bytes: int = 0,
-    joins_chunks: bool = False,
+    calls: Calls, items: tuple[int, int], size: CallSize, progress: Progress | None = None
 ) -> None:
     """Call a kernel for rays, packets or points, parts of them at a time, on all threads.
 
     Parameters
     ----------
     calls : Calls
-        The kernel and its arguments after `begin` and `end`.
+        The kernel and its arguments after `begin` and `end`; the address of its memory follows, if
+        it needs any.
     items : tuple of two int
         Begin and end.
-    least, most, block, share, memory_bytes, joins_chunks
-        See `BatchKernel`. The kernel's last argument is the address of its memory, if it needs any.
+    size : CallSize
     progress : callable, optional
         Called with (items done, items).
     """
     trace, arguments = calls
     first, end = items
-    count = end - first
-    size = call_size(count, least, most, share, block)
-    if count <= size and not memory_bytes and progress is None:  # small batches
+    memory_bytes = size.memory_bytes
+    if end - first <= size.least and not memory_bytes and progress is None:
         check_stopped()
-        trace(first, end, *arguments)
+        trace(first, end, *arguments)  # at once: a ray alone takes 17 us
         return
-    if count > size:
+    count, most = end - first, size.of(end - first)
+    if count > most:
         trace = entry_of(trace, (first, end, *arguments, *((0,) if memory_bytes else ())))
 
     def body(low: int, high: int) -> None:
@@ -182,61 +195,49 @@ def run_calls(
         if len(_spare) < _MOST_SPARE and memory.nbytes <= _MOST_SPARE_BYTES:
             _spare.append(memory)
 
-    parallel_for(body, count, size, progress, joins_chunks=joins_chunks)
+    parallel_for(body, count, most, progress, joins_chunks=size.joins_chunks)
+
+
+class DecidingKernel(NamedTuple):
+    """A kernel that decides some items of a batch, and leaves others to the next one.
+
+    Attributes
+    ----------
+    bind : callable
+        ``bind(items)`` takes the numbers of items. It returns the calls for these, and a function
+        that keeps their results, and says which of them are decided.
+    size : CallSize
+    least : int
+        Smaller batches do without it.
+    """
+
+    bind: Callable[[NDArray[np.int64]], tuple[Calls, Callable[[], NDArray[np.bool_]]]]
+    size: CallSize
+    least: int = 1
 
 
 def run_in_turn(
-    kernels: Sequence[Callable[[NDArray[np.int64], Progress | None], NDArray[np.bool_]]],
-    count: int,
-    progress: Progress | None = None,
+    kernels: Iterable[DecidingKernel], count: int, progress: Progress | None = None
 ) -> None:
     """Run kernels one after another, each for what those before left undecided.
 
     Parameters
     ----------
-    kernels : sequence of callable
-        ``kernel(items, progress)`` takes the numbers of items, and returns which it has decided.
+    kernels : iterable of DecidingKernel
     count : int
         Items.
     progress : callable, optional
         Called with (items done, items).
     """
     left = np.arange(count)
-    for run in kernels:
-        if len(left):
-            decided = run(left, part_of(progress, count - len(left), count))
-            left = left[~decided]
-
-
-def _call_kernel(
-    kernel: BatchKernel,
-    calls: Calls,
-    order: BatchOrder,
-    rays: tuple[int, int],
-    progress: Progress | None,
-) -> None:
-    """Trace the rays between two cuts of an order."""
-    begin, end = (order.cut(ray).packet for ray in rays) if kernel.by_packets else rays
-    if end - begin <= kernel.least and not kernel.memory_bytes and progress is None:
-        check_stopped()
-        calls[0](begin, end, *calls[1])  # at once: a ray alone takes 17 us
-        return
-
-    def report(done: int, count: int) -> object:
-        assert progress is not None
-        return progress(done * (rays[1] - rays[0]) // count, rays[1] - rays[0])
-
-    run_calls(
-        calls,
-        (begin, end),
-        kernel.least,
-        kernel.most,
-        None if progress is None else report,
-        block=kernel.block,
-        share=kernel.share,
-        memory_bytes=kernel.memory_bytes,
-        joins_chunks=kernel.joins_chunks,
-    )
+    for kernel in kernels:
+        if len(left) and count >= kernel.least:
+            calls, decide = kernel.bind(left)
+            report = part_of(progress, count - len(left), len(left), count)
+            run_calls(calls, (0, len(left)), kernel.size, report)
+            left = left[~decide()]
+    if progress:
+        progress(count, count)
 
 
 def _memory_of(byte_count: int) -> NDArray[np.float32]:

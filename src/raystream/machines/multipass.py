@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import copy
-import operator
 from collections import Counter
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_least
 from raystream.core.query import Kind, Query
-from raystream.jit.threads import Progress, part_of
+from raystream.jit.constants import NULL
+from raystream.jit.threads import Progress, parts
 from raystream.kernels.hits import HitAddresses, HitArrays, Sink
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.tally import new_tallies
@@ -34,6 +34,7 @@ from raystream.machines.records import (
 from raystream.machines.schedulers import DEFAULT_THRESHOLD, Scheduler, make_scheduler
 from raystream.machines.steps import Steps, steps_of
 from raystream.machines.steps.base import StepKernel
+from raystream.streams import Counters
 from raystream.structures import Structure
 
 #: Memory for the rays of a query: more rays are traced in parts.
@@ -85,8 +86,8 @@ class MultipassBackend(LocalFrameBackend):
     ) -> None:
         self.structure = structure
         self.scheduler = make_scheduler(scheduler, threshold)
-        self.traversal_steps = _at_least_one("traversal_steps", traversal_steps)
-        self.intersections = _at_least_one("intersections", intersections)
+        self.traversal_steps = check_least("traversal_steps", traversal_steps, 1)
+        self.intersections = check_least("intersections", intersections, 1)
         self.compaction = bool(compaction)
         self.passes: Passes | None = None
         self.observer: Observer | None = None
@@ -116,41 +117,36 @@ class MultipassBackend(LocalFrameBackend):
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None
     ) -> None:
         """Answer a query of local rays; see `LocalFrameBackend.run_local`."""
-        steps, tallies, count = steps_of(self.structure), sink.tallies, len(rays.t_min)
-        if query.kind is Kind.FIRST_HIT:
-            hits = sink.hits
-            for column, miss in zip(hits, (np.inf, 0.0, 0.0, -1), strict=True):
-                column.fill(miss)
-            rows = np.arange(count, dtype=np.uint64)
-            job = RayJob(rays, rows, np.ones(count, np.uint64), tallies)
-            self._trace(steps, job, HitGoal(False, hits, SHADE_HITS), progress)
-        elif query.kind is Kind.ANY_HIT:
-            one = np.ones(count, np.uint64)
-            job = RayJob(rays, one, one, tallies)
-            goal = HitGoal(False, None, SHADE_HITS)
-            sink.seen[:] = self._trace(steps, job, goal, progress) != 0
-        elif query.kind is Kind.COUNT_HITS:
-            limits = np.full(count, query.limit, np.uint64)
-            job = RayJob(rays, limits, limits, tallies)
-            goal = HitGoal(query.surfaces, None, SHADE_NONE)
-            sink.counts[:] = self._trace(steps, job, goal, progress)
-        else:
-            splits = sink.splits
-            first, capacity = splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64)
+        count, kind, tallies = len(rays.t_min), query.kind, sink.tallies
+        has_rows: Any = slice(None)
+        if kind is Kind.MULTI_HIT:
+            first, capacity = sink.splits[:-1].astype(np.uint64), np.diff(sink.splits)
             has_rows = np.flatnonzero(capacity)
-            job = RayJob(rays, first, capacity, tallies).part(has_rows)
-            goal = HitGoal(query.surfaces, sink.hits, SHADE_HITS)
-            self._trace(steps, job, goal, progress)
-            if tallies is not None and job.tallies is not None:
-                tallies[has_rows] = job.tallies
+        else:
+            first = np.arange(count, dtype=np.uint64)
+            capacity = np.full(count, query.limit if kind is Kind.COUNT_HITS else 1)
+        if kind is Kind.FIRST_HIT:
+            for column, miss in zip(sink.hits, (np.inf, 0.0, 0.0, -1), strict=True):
+                column.fill(miss)
+        out = sink.hits if kind in (Kind.FIRST_HIT, Kind.MULTI_HIT) else None
+        shaded_hits = SHADE_NONE if kind is Kind.COUNT_HITS else SHADE_HITS
+        job = RayJob(rays, first, capacity.astype(np.uint64), tallies).part(has_rows)
+        goal = HitGoal(query.surfaces, out, shaded_hits)
+        found = self._trace(steps_of(self.structure), job, goal, progress)
+        if kind is Kind.ANY_HIT:
+            sink.seen[:] = found != 0
+        elif kind is Kind.COUNT_HITS:
+            sink.counts[:] = found
+        elif kind is Kind.MULTI_HIT and tallies is not None:
+            tallies[has_rows] = job.tallies  # a copy
 
     def _trace(
         self, steps: Steps, job: RayJob, goal: HitGoal, progress: Progress | None
     ) -> NDArray[np.uint32]:
         """Trace rays, in parts that fit in memory; returns the number of hits of each."""
         counts = np.zeros(len(job), np.uint32)
-        for rows in _parts(len(job), steps):
-            report = part_of(progress, rows.start, len(job))
+        size = max(1, MAX_BYTES // _ray_bytes(steps))
+        for rows, report in parts(len(job), size, progress):
             counts[rows] = self._trace_part(steps, job.part(rows), goal, report)
         return counts
 
@@ -159,24 +155,21 @@ class MultipassBackend(LocalFrameBackend):
     ) -> NDArray[np.uint32]:
         """Trace rays that fit in memory."""
         runs = None if job.tallies is None else new_tallies(len(job))
-        stacks = np.empty((len(job), steps.stack_bytes), np.uint8)
-        arguments = StepArguments(
-            np.float32(self.structure.triangles.max_coordinate),
-            goal.surfaces,
-            goal.shaded_hits,
-            None if goal.out is None else HitAddresses.of(goal.out),
-            _address(job.tallies),
-            _address(runs),
-            _address(stacks),
-            np.uint64(steps.stack_bytes),
-            np.uint64(self.traversal_steps),
-            np.uint64(self.intersections),
+        hits = None if goal.out is None else HitAddresses.of(goal.out)
+        stacks, arguments = self._arguments(steps, len(job))
+        arguments = arguments._replace(
+            surfaces=goal.surfaces,
+            shaded_hits=goal.shaded_hits,
+            hits=hits,
+            tallies=_address(job.tallies),
+            runs=_address(runs),
         )
         streams = RayStreams.of(steps, arguments, job)
-        if self.observer is not None:
-            streams.on_run = self._snapshots(self.observer, streams, stacks, goal.out, job.tallies)
-            streams.on_run(None)
-        self._run(streams, progress)
+        self._observe(streams, stacks, goal.out, job.tallies)
+        counters = None if self.passes is None else self.passes.counters
+        self._run(streams, progress, len(job), counters)
+        if progress:
+            progress(len(job), len(job))
         if self.passes is not None and runs is not None:
             at_once = {"steps": self.traversal_steps, "tests": self.intersections, "": 1}
             self.passes.add_bound(steps.kernels, runs, at_once)
@@ -216,21 +209,18 @@ class MultipassBackend(LocalFrameBackend):
         self, loop: RayLoop, steps: Steps, arrays: dict[str, NDArray[Any]]
     ) -> RayStreams:
         """The streams of a loop's rays, with stacks of their own."""
-        stacks = np.empty((len(arrays["state"]), steps.stack_bytes), np.uint8)
-        arguments = StepArguments(
-            np.float32(self.structure.triangles.max_coordinate),
-            False,
-            SHADE_ALL,
-            loop.hits,
-            _address(None),
-            _address(None),
-            _address(stacks),
-            np.uint64(steps.stack_bytes),
-            np.uint64(self.traversal_steps),
-            np.uint64(self.intersections),
-        )
+        stacks, arguments = self._arguments(steps, len(arrays["state"]))
+        arguments = arguments._replace(hits=loop.hits)
         constants = {"frame": self.structure.frame, "shading": loop.shading}
         return RayStreams(steps, arguments, arrays, constants, loop.spawns, stacks)
+
+    def _arguments(self, steps: Steps, count: int) -> tuple[NDArray[np.uint8], StepArguments]:
+        """Stacks for a number of rays, and the arguments of a query that shades all of them."""
+        stacks = np.empty((count, steps.stack_bytes), np.uint8)
+        reach = np.float32(self.structure.triangles.max_coordinate)
+        own = _address(stacks), np.uint64(steps.stack_bytes)
+        at_once = np.uint64(self.traversal_steps), np.uint64(self.intersections)
+        return stacks, StepArguments(reach, False, SHADE_ALL, None, NULL, NULL, *own, *at_once)
 
     def _run_loop(
         self,
@@ -244,16 +234,9 @@ class MultipassBackend(LocalFrameBackend):
 
         `total` is the number of all pixels, of which others are finished.
         """
-        steps, count = loop_steps(steps_of(self.structure), loop), len(arrays["state"])
-        streams = self._streams_of(loop, steps, arrays)
-        if self.observer is not None:
-            none = np.empty((0, 0), np.uint8)
-            streams.on_run = self._snapshots(self.observer, streams, none, None, None)
-            streams.on_run(None)
-        for kernel, waiting in streams.schedule(self.scheduler, self.compaction):
-            if progress:
-                progress(total - min(count, sum(waiting)), total)
-            streams.run(kernel, None)
+        streams = self._streams_of(loop, loop_steps(steps_of(self.structure), loop), arrays)
+        self._observe(streams, np.empty((0, 0), np.uint8), None, None)
+        self._run(streams, progress, total, None)
         passes.update(streams.passes)
         left = streams.arrays()
         waits = left["state"] == RayState.NO_ROOM
@@ -272,51 +255,45 @@ class MultipassBackend(LocalFrameBackend):
 
     def loop_bytes(self, pixel: np.dtype[Any]) -> int:
         """Memory of a pixel of `run_loop`, with the renderer's record."""
-        steps = steps_of(self.structure)
-        return _RAY_BYTES + steps.place.itemsize + steps.stack_bytes + pixel.itemsize
+        return _ray_bytes(steps_of(self.structure)) + pixel.itemsize
 
-    @staticmethod
-    def _snapshots(
-        observer: Observer,
+    def _observe(
+        self,
         streams: RayStreams,
         stacks: NDArray[np.uint8],
         hits: HitArrays | None,
         tallies: NDArray[np.uint32] | None,
-    ) -> Callable[[StepKernel | None], None]:
-        """The callback that shows the rays to an observer after each kernel."""
+    ) -> None:
+        """Show the rays to the observer, if there is one: now, and after each kernel."""
+        observer = self.observer
+        if observer is None:
+            return
 
         def show(kernel: StepKernel | None) -> None:
-            arrays = {name: stream.array for name, stream in streams.streams.items()}
-            observer(PassSnapshot(kernel, arrays, stacks, hits, tallies))
+            observer(PassSnapshot(kernel, streams.arrays(), stacks, hits, tallies))
 
-        return show
+        streams.on_run = show
+        show(None)
 
-    def _run(self, streams: RayStreams, progress: Progress | None) -> None:
-        """Run passes until no ray is active."""
+    def _run(
+        self,
+        streams: RayStreams,
+        progress: Progress | None,
+        total: int,
+        counters: Counters | None,
+    ) -> None:
+        """Run passes until no ray is active; `total` includes rays that have ended elsewhere."""
         count = len(streams)
-        counters = None if self.passes is None else self.passes.counters
         for kernel, waiting in streams.schedule(self.scheduler, self.compaction, counters):
             if progress:
-                progress(count - sum(waiting), count)
+                progress(total - min(count, sum(waiting)), total)
             streams.run(kernel, counters)
-        if progress:
-            progress(count, count)
 
 
-def _parts(count: int, steps: Steps) -> Iterator[slice]:
-    """Ranges of rays that fit in memory."""
-    each = _RAY_BYTES + steps.place.itemsize + steps.stack_bytes
-    size = max(1, MAX_BYTES // each)
-    for begin in range(0, count, size):
-        yield slice(begin, min(begin + size, count))
+def _ray_bytes(steps: Steps) -> int:
+    """Bytes of a ray in the streams, and of its stack."""
+    return _RAY_BYTES + steps.place.itemsize + steps.stack_bytes
 
 
 def _address(array: NDArray[Any] | None) -> np.uint64:
     return np.uint64(0 if array is None or array.size == 0 else array.ctypes.data)
-
-
-def _at_least_one(name: str, number: int) -> int:
-    number = operator.index(number)
-    if number < 1:
-        raise ValueError(f"{name}: expected at least 1, got {number}")
-    return number

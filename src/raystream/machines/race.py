@@ -12,11 +12,9 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
-
-from raystream.jit.threads import Progress, part_of
+from typing import Any
 
 #: Batches of fewer rays are not raced: threads would start and end too often.
 LEAST_RACE = 1 << 16
@@ -39,8 +37,8 @@ _LEAD = 1.05
 #: Kinds of batches whose times are kept.
 _MOST_KINDS = 256
 
-#: Traces rays of a batch by a kernel: (kernel, first ray, end, progress).
-Run = Callable[[str, int, int, Progress | None], object]
+#: Rays of a batch to trace by a kernel: (kernel, first ray, end).
+Piece = tuple[str, int, int]
 
 #: The last place at or before a ray where a batch may be divided.
 Cut = Callable[[int], int]
@@ -65,22 +63,6 @@ class _Kind:
     rates: dict[str, float] = field(default_factory=dict)
 
 
-class _Time(NamedTuple):
-    """How long some rays took."""
-
-    seconds: float
-    rays: int
-
-    @property
-    def rate(self) -> float:
-        """Seconds per ray."""
-        return self.seconds / max(self.rays, 1)
-
-
-def _rate(time: _Time) -> float:
-    return time.rate
-
-
 class Races:
     """Times of the kernels by kind of batch.
 
@@ -93,23 +75,19 @@ class Races:
     def __init__(self, kinds: dict[Hashable, Any] | None = None) -> None:
         self._kinds: dict[Hashable, _Kind] = {} if kinds is None else kinds
 
-    def plan(self, kind: Hashable, names: Sequence[str], is_ready: bool) -> tuple[str, bool]:
-        """The kernel for a batch of a kind, and whether to race.
+    def is_due(self, kind: Hashable, is_ready: bool) -> bool:
+        """Whether to race the next batch of a kind.
 
         Parameters
         ----------
         kind : hashable
-        names : sequence of str
-            The kernel to take before any race, then its rivals.
         is_ready : bool
-            Whether all of them are loaded: else only later batches are worth it.
+            Whether all its kernels are loaded: else only later batches are worth it.
         """
         if kind not in self._kinds and len(self._kinds) >= _MOST_KINDS:
             self._kinds.clear()
-        known = self._kinds.setdefault(kind, _Kind())
-        number = next(known.numbers)
-        is_due = number & (number - 1) == 0 and (is_ready or number >= 4)
-        return _fastest(names, known.rates), is_due
+        number = next(self._kinds.setdefault(kind, _Kind()).numbers)
+        return number & (number - 1) == 0 and (is_ready or number >= 4)
 
     def learn(self, kind: Hashable, rates: dict[str, float]) -> None:
         """Keep the seconds per ray of a race: the mean with those of earlier ones."""
@@ -119,114 +97,79 @@ class Races:
 
     def fastest(self, kind: Hashable, names: Sequence[str]) -> str:
         """The fastest kernel of a kind of batch; the first one if nothing is known."""
-        known = self._kinds.get(kind)
-        return _fastest(names, known.rates if known else {})
+        rates, best = self._kinds.get(kind, _Kind()).rates, names[0]
+        for name in names[1:]:
+            if name in rates and best in rates and rates[name] * _LEAD < rates[best]:
+                best = name
+        return best
 
 
-def _fastest(names: Sequence[str], rates: dict[str, float]) -> str:
-    best = names[0]
-    for name in names[1:]:
-        if name in rates and best in rates and rates[name] * _LEAD < rates[best]:
-            best = name
-    return best
+def race(
+    races: Races, kind: Hashable, names: Sequence[str], cold: Sequence[str], count: int, cut: Cut
+) -> Generator[Piece, None, None]:
+    """Decide which kernel traces which rays of a batch; the caller traces each piece at once.
 
-
-def run_fastest(
-    names: Sequence[str],
-    count: int,
-    cut: Cut,
-    run: Run,
-    races: Races,
-    kind: Hashable,
-    progress: Progress | None,
-    cold: Sequence[str],
-) -> None:
-    """Trace a batch by the fastest kernel, as far as that is known; see `run_race`.
+    Parameters
+    ----------
+    races : Races
+    kind : hashable
+        Of the batch.
+    names : sequence of str
+        Kernels; the first one is the guess.
+    cold : sequence of str
+        Kernels to run before they are timed, as they must be loaded.
+    count : int
+        Rays of the batch.
+    cut : callable
 
     Notes
     -----
     One race at a time: two would measure each other. A batch that is due meanwhile is not raced.
     """
-    name, is_due = races.plan(kind, names, not cold)
-    if not is_due or not _racing.acquire(blocking=False):
-        run(name, 0, count, progress)
+    if not races.is_due(kind, not cold) or not _racing.acquire(blocking=False):
+        yield races.fastest(kind, names), 0, count
         return
     try:
-        run_race(names, count, cut, run, races, kind, progress, cold)
+        yield from _pieces(races, kind, names, cold, count, cut)
     finally:
         _racing.release()
 
 
-def run_race(
-    names: Sequence[str],
-    count: int,
-    cut: Cut,
-    run: Run,
-    races: Races,
-    kind: Hashable,
-    progress: Progress | None,
-    cold: Sequence[str] = (),
-) -> None:
-    """Trace a batch: pieces by each kernel, the rest by the fastest.
+def _pieces(
+    races: Races, kind: Hashable, names: Sequence[str], cold: Sequence[str], count: int, cut: Cut
+) -> Generator[Piece, None, None]:
+    """Pieces by each kernel, the rest by the fastest."""
+    at = first = cut(int((0.5 - _FAVOURITE) * count))
 
-    Parameters
-    ----------
-    names : sequence of str
-        Kernels; the first one is the guess.
-    count : int
-        Rays of the batch.
-    cut : callable
-    run : callable
-    races : Races
-    kind : hashable
-        Of the batch.
-    progress : callable, optional
-        Called with (rays done, rays).
-    cold : sequence of str
-        Kernels to run before they are timed, as they must be loaded.
-    """
-    done = 0
-
-    def trace(name: str, begin: int, end: int) -> _Time:
-        """Trace a piece."""
-        nonlocal done
-        if begin >= end:
-            return _Time(0.0, 0)
+    def timed(name: str, share: float) -> Generator[Piece, None, float]:
+        """The next piece; returns its seconds per ray, 0 if it has none."""
+        nonlocal at
+        begin, at = at, cut(at + max(int(share * count), _LEAST_PIECE))
+        if begin >= at:
+            return 0.0
         started = clock()
-        run(name, begin, end, part_of(progress, done, count))
-        done += end - begin
-        return _Time(clock() - started, end - begin)
+        yield name, begin, at
+        return (clock() - started) / (at - begin)
 
-    def after(begin: int, share: float) -> int:
-        """The end of a piece."""
-        return cut(begin + max(int(share * count), _LEAST_PIECE))
-
-    favourite = races.fastest(kind, names)
-    first = cut(int((0.5 - _FAVOURITE) * count))
-    at = first
     for name in cold:
-        begin, at = at, after(at, 0.0)
-        trace(name, begin, at)
-    begin, at = at, after(at, _FAVOURITE)
-    before = trace(favourite, begin, at)
-    times: dict[str, _Time] = {}
+        yield from timed(name, 0.0)
+    favourite, rates = races.fastest(kind, names), {}
+    before = yield from timed(favourite, _FAVOURITE)
     for name in names:
         if name == favourite:
             continue
-        begin, at = at, after(at, _RIVAL)
-        times[name] = trace(name, begin, at)
-        if times[name].rate <= _NEAR * before.rate:
-            begin, at = at, after(at, _IN_DOUBT)
+        rates[name] = yield from timed(name, _RIVAL)
+        if rates[name] <= _NEAR * before:
             # Alone: the first piece may have been too small.
-            times[name] = trace(name, begin, at)
-    begin, at = at, after(at, _FAVOURITE)
-    behind = trace(favourite, begin, at)
+            rates[name] = yield from timed(name, _IN_DOUBT)
+    behind = yield from timed(favourite, _FAVOURITE)
     # The faster of its pieces: another program that runs during one of them does not decide.
-    times[favourite] = min((one for one in (before, behind) if one.rays), key=_rate, default=before)
-    races.learn(kind, {name: found.rate for name, found in times.items() if found.rays})
+    rates[favourite] = min(filter(None, (before, behind)), default=0.0)
+    races.learn(kind, {name: rate for name, rate in rates.items() if rate})
     winner = races.fastest(kind, names)
-    trace(winner, 0, first)
-    trace(winner, at, count)
+    for begin, end in ((0, first), (at, count)):
+        if begin < end:
+            yield winner, begin, end
 
 
 #: The time, in seconds.

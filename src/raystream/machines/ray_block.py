@@ -8,17 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
-from raystream.jit.threads import Progress
+from raystream.jit.threads import Progress, parts
 from raystream.kernels.local_frame import LocalRays, TTransform, to_local_rays, to_world_t
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.batch import run_calls
+from raystream.structures.batch_kernels import CallSize
 
 #: Rays of a block: bounds all memory but the results, at about 100 bytes per ray.
 RAYS_PER_BLOCK = 1 << 20
 
-#: Rays per chunk of loops without traversal: about a millisecond.
-LIGHT_CHUNK = 1 << 15
+#: Calls of loops without traversal: about a millisecond.
+LIGHT_CALLS = CallSize(1 << 15, 1 << 15)
 
 
 class RayBlock:
@@ -33,15 +34,14 @@ class RayBlock:
     status : ndarray of shape (N,), uint8
         Status of the whole batch; the rows of these rays are written.
     progress : callable, optional
-        Called with (rays of the batch done, rays of the batch).
+        To be called with (rays of the block done, rays of the block).
 
     Attributes
     ----------
-    rows : slice
+    rows, progress
+        As given.
     rays : LocalRays
     t_transform : TTransform
-    progress : callable or None
-        To be called with (rays of the block done, rays of the block).
     """
 
     def __init__(
@@ -52,18 +52,15 @@ class RayBlock:
         status: NDArray[np.uint8],
         progress: Progress | None,
     ) -> None:
-        self.rows = rows
+        self.rows, self.progress = rows, progress
         count = rows.stop - rows.start
         self.rays = LocalRays.empty(count)
         self.t_transform = TTransform(np.empty(count), np.empty(count))
         limits = batch.t_min[rows], batch.t_max[rows]
         source, kept = RaySource.of(batch.origins[rows], batch.directions[rows], limits)
         calls = to_local_rays, (source, frame, self.rays, self.t_transform, status[rows])
-        run_calls(calls, (0, count), LIGHT_CHUNK, LIGHT_CHUNK)
+        run_calls(calls, (0, count), LIGHT_CALLS)
         del kept  # the kernel reads it by address
-        self.progress: Progress | None = None
-        if progress is not None:
-            self.progress = lambda done, _: progress(rows.start + done, len(batch))
 
     def part_of(self, tallies: NDArray[np.uint32] | None) -> NDArray[np.uint32] | None:
         """These rays' rows of the batch's tallies, if there are any."""
@@ -72,7 +69,7 @@ class RayBlock:
     def to_world(self, t: NDArray[np.float32], splits: NDArray[np.int64]) -> None:
         """Turn rows splits[i] to splits[i + 1] of t, which belong to ray i, to world distances."""
         calls = to_world_t, (splits, self.t_transform, t)
-        run_calls(calls, (0, len(splits) - 1), LIGHT_CHUNK, LIGHT_CHUNK)
+        run_calls(calls, (0, len(splits) - 1), LIGHT_CALLS)
 
 
 def blocks(
@@ -83,6 +80,5 @@ def blocks(
     make: Callable[..., RayBlock] = RayBlock,
 ) -> Iterator[RayBlock]:
     """Turn a batch into blocks of local rays, one at a time; `make` is called as `RayBlock` is."""
-    for first in range(0, len(batch), RAYS_PER_BLOCK):
-        rows = slice(first, min(first + RAYS_PER_BLOCK, len(batch)))
-        yield make(batch, rows, frame, status, progress)
+    for rows, report in parts(len(batch), RAYS_PER_BLOCK, progress):
+        yield make(batch, rows, frame, status, report)

@@ -13,13 +13,20 @@ from raystream.jit.threads import Progress
 from raystream.kernels.point_order import order_bytes
 from raystream.kernels.winding import LANES, winding_numbers
 from raystream.kernels.winding_tree import tree_winding_numbers, winding_tree_of
-from raystream.machines.batch import run_calls, run_in_turn
+from raystream.machines.batch import DecidingKernel, run_in_turn
+from raystream.structures.batch_kernels import Calls, CallSize
 
 #: Solid angles per call of the exact kernel: some 20 milliseconds.
 _ANGLES_PER_CALL = 1 << 23
 
-#: Points of a call of the tree's kernel, which sorts them.
+#: Calls of the tree's kernel, which sorts their points.
 _POINTS_PER_CALL = 1 << 12
+_TREE_CALLS = CallSize(
+    _POINTS_PER_CALL,
+    _POINTS_PER_CALL,
+    memory_bytes=order_bytes(_POINTS_PER_CALL),
+    joins_chunks=False,
+)
 
 #: Fewer triangles are summed exactly, and those of fewer points: a tree would take longer.
 _LEAST_TRIANGLES, _LEAST_POINTS = 512, 256
@@ -82,47 +89,47 @@ def _numbers(
     progress: Progress | None,
 ) -> NDArray[np.float64]:
     """Winding numbers within `accuracy`, or if it is None, on the right side of 1/2 and -1/2."""
-    count = len(local)
-    numbers = np.zeros(count)
-    if len(triangles.prim_ids) < _LEAST_TRIANGLES or count < _LEAST_POINTS:
+    numbers = np.zeros(len(local))
+    if len(triangles.prim_ids) < _LEAST_TRIANGLES:
         openings = ()
 
-    def by_tree(opening: float, left: NDArray[np.int64], progress: Progress | None) -> Any:
-        found, errors = _by_tree(triangles, local[left], opening, progress)
-        numbers[left] = found
-        room = np.abs(np.abs(found) - 0.5) if accuracy is None else accuracy
-        return errors < room
+    def by_tree(opening: float, left: NDArray[np.int64]) -> Any:
+        calls, found, errors = _tree_sums(triangles, local[left], opening)
 
-    def exactly(left: NDArray[np.int64], progress: Progress | None) -> Any:
-        numbers[left] = _exact(triangles, local[left], progress)
-        return np.ones(len(left), bool)
+        def decide() -> NDArray[np.bool_]:
+            numbers[left] = found
+            return errors < (np.abs(np.abs(found) - 0.5) if accuracy is None else accuracy)
 
-    run_in_turn([*(partial(by_tree, one) for one in openings), exactly], count, progress)
+        return calls, decide
+
+    def exactly(left: NDArray[np.int64]) -> Any:
+        calls, found = _exact_sums(triangles, local[left])
+
+        def decide() -> NDArray[np.bool_]:
+            numbers[left] = found
+            return np.ones(len(left), np.bool_)
+
+        return calls, decide
+
+    most = max(_ANGLES_PER_CALL // max(len(triangles.prim_ids), 1) // LANES, 1) * LANES
+    exact = DecidingKernel(exactly, CallSize(most, most, joins_chunks=False))
+    trees = [DecidingKernel(partial(by_tree, one), _TREE_CALLS, _LEAST_POINTS) for one in openings]
+    run_in_turn([*trees, exact], len(local), progress)
     return numbers
 
 
-def _by_tree(
-    triangles: Triangles,
-    local: NDArray[np.float64],
-    opening: float,
-    progress: Progress | None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Winding numbers, and bounds of their errors."""
-    tree, count, most = winding_tree_of(triangles), len(local), _POINTS_PER_CALL
-    numbers, errors = np.empty(count), np.empty(count)
-    calls = tree_winding_numbers, (local, tree, opening, numbers, errors)
-    memory_bytes = order_bytes(min(count, most))
-    run_calls(calls, (0, count), most, most, progress, memory_bytes=memory_bytes)
-    return numbers, errors
+def _tree_sums(
+    triangles: Triangles, local: NDArray[np.float64], opening: float
+) -> tuple[Calls, NDArray[np.float64], NDArray[np.float64]]:
+    """The calls that compute winding numbers by the tree; these, and bounds of their errors."""
+    numbers, errors = np.empty((2, len(local)))
+    tree = winding_tree_of(triangles)
+    return (tree_winding_numbers, (local, tree, opening, numbers, errors)), numbers, errors
 
 
-def _exact(
-    triangles: Triangles, local: NDArray[np.float64], progress: Progress | None
-) -> NDArray[np.float64]:
-    """Winding numbers by the sum over all triangles."""
-    found = np.empty(len(local))
-    prim_ids = np.ascontiguousarray(triangles.prim_ids)
-    calls = winding_numbers, (local, triangles.corners, prim_ids, found)
-    most = max(_ANGLES_PER_CALL // max(len(prim_ids), 1) // LANES, 1) * LANES
-    run_calls(calls, (0, len(local)), most, most, progress)
-    return found
+def _exact_sums(
+    triangles: Triangles, local: NDArray[np.float64]
+) -> tuple[Calls, NDArray[np.float64]]:
+    """The calls that sum over all triangles, and the winding numbers."""
+    numbers, prim_ids = np.empty(len(local)), np.ascontiguousarray(triangles.prim_ids)
+    return (winding_numbers, (local, triangles.corners, prim_ids, numbers)), numbers

@@ -226,7 +226,7 @@ class _Worker:
                 t_max=np.inf if self._rules.clips else self._batch.t_max[rows],
                 crossings="surfaces",
                 on_hit=self._on_hit,
-                progress=part_of(progress, rows.start, total, rows.stop - rows.start),
+                progress=part_of(progress, rows.start, rows.stop - rows.start, total),
             )
             yield rows, hits
             first = max(rows.stop, 1)

@@ -237,7 +237,7 @@ def lidar_sweep(
                     tracer,
                     fired.poses.positions[members],
                     directions[members],
-                    progress=part_of(progress, done, len(pattern)),
+                    progress=part_of(progress, done, len(members), len(pattern)),
                     **chosen,
                 )
             )

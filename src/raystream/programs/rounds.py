@@ -6,14 +6,15 @@ ones first; these are skipped.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.query import UNLIMITED
 from raystream.core.rays import RayBatch
-from raystream.jit.threads import Progress
+from raystream.jit.threads import Progress, parts
 from raystream.kernels.hits import HitBatch, HitVisitor
 from raystream.programs.ray_subset import PendingRays, RaySubset
 
@@ -64,9 +65,17 @@ class _RoundSize:
             limit *= GROWTH
         return limit
 
-    def ray_count(self) -> int:
-        """Rays to trace next."""
-        return FIRST_RAYS if self._rays == 0 else RAYS_PER_BLOCK
+    def ray_count(self, unit: int, left: int) -> int:
+        """Rays to trace next of those that are left: a multiple of the unit, or all."""
+        size = FIRST_RAYS if self._rays == 0 else RAYS_PER_BLOCK
+        size = max(size // unit, 1) * unit
+        return left if size + 2 * FIRST_RAYS >= left else size
+
+
+def _image_width(shape: tuple[int, ...]) -> int:
+    """The width of an image's rays; 0 if blocks need not have whole rows of tiles."""
+    width = shape[-1] if len(shape) > 1 else 0
+    return width if width * TILE_ROWS <= 8 * FIRST_RAYS else 0
 
 
 def visit(
@@ -101,8 +110,13 @@ def visit(
         Whether the program ended a ray.
     """
     sizes, has_ended = _RoundSize(), False
-    for rows, rays in _blocks(whole, sizes):
-        report = _report(progress, rows, len(whole.batch))
+    count, width = len(whole.batch), _image_width(whole.batch.shape)
+    size_of = partial(sizes.ray_count, width * TILE_ROWS or 1)
+    for rows, report in parts(count, size_of, progress):
+        size = rows.stop - rows.start
+        # Whole rows of tiles, if they are an image's.
+        shape = (size // width, width) if width else (size,)
+        rays = whole if size == count else whole.rows(rows, shape)
         limit = sizes.limit()
         if limit == UNLIMITED:
             has_ended |= _visit_all(
@@ -110,8 +124,6 @@ def visit(
             )
         else:
             has_ended |= _visit_rounds(find, rays, limit, run, status[rows], report, delivered)
-    if progress:
-        progress(len(whole.batch), len(whole.batch))
     return has_ended
 
 
@@ -176,34 +188,3 @@ def _visit_nearest(
 
     find(pending.rays.batch, limit, True, visitor, status, progress)
     return np.flatnonzero(is_full & pending.open_rays)
-
-
-def _blocks(whole: RaySubset, sizes: _RoundSize) -> Iterator[tuple[slice, RaySubset]]:
-    """Split rays into blocks: of whole rows of tiles, if they are an image's."""
-    shape, count = whole.batch.shape, len(whole.batch)
-    width = shape[-1] if len(shape) > 1 else 0
-    is_image = 0 < width * TILE_ROWS <= 8 * FIRST_RAYS
-    unit = width * TILE_ROWS if is_image else 1
-    begin = 0
-    while begin < count:
-        size = max(sizes.ray_count() // unit, 1) * unit
-        end = count if begin + size + 2 * FIRST_RAYS >= count else begin + size
-        rows = slice(begin, end)
-        if end - begin == count:
-            yield rows, whole
-        else:
-            shape = ((end - begin) // width, width) if is_image else (end - begin,)
-            yield rows, whole.rows(rows, shape)
-        begin = end
-
-
-def _report(progress: Progress | None, rows: slice, total: int) -> Progress | None:
-    """The progress callback of a block, whose query may count in other steps."""
-    if progress is None:
-        return None
-    whole, count = progress, rows.stop - rows.start
-
-    def report(done: int, steps: int) -> object:
-        return whole(min(rows.start + done * count // max(steps, 1), total), total)
-
-    return report

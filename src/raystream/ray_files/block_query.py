@@ -119,7 +119,7 @@ class BlockQuery:
                 t_max=batch.t_max[begin:end],
                 max_hits=wanted if is_bounded else limit,
                 **self._options,
-                progress=part_of(progress, begin, count, end - begin),
+                progress=part_of(progress, begin, end - begin, count),
             )
             most = int(hits.counts.max())
             if not is_bounded and most >= limit:

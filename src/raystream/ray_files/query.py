@@ -163,7 +163,9 @@ def query_zarr(
                 blocks.after(done.rays),
                 source.read,
                 lambda block, read: block_query(
-                    block, read, part_of(progress, block.begin, blocks.ray_count)
+                    block,
+                    read,
+                    part_of(progress, block.begin, block.end - block.begin, blocks.ray_count),
                 ),
                 writer.write,
             )

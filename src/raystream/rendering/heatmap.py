@@ -232,7 +232,7 @@ def _trace(
         rows = range(first, min(first + rows_per_band, height))
         for sample in range(samples):
             paths = camera_paths(camera, size, sampler, rows, sample)
-            report = part_of(progress, done, ray_count, len(paths.pixels))
+            report = part_of(progress, done, len(paths.pixels), ray_count)
             tracer.first_hit(paths.origins, paths.directions, progress=report)
             yield paths.pixels, tracer.counters
             done += len(paths.pixels)

@@ -10,6 +10,7 @@ before it is added to the film.
 
 from __future__ import annotations
 
+import importlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -39,6 +40,10 @@ from raystream.rendering.shading.tables import EMITS, IS_TEXTURED, SceneTables, 
 from raystream.rendering.surfaces import objects_of, surfaces_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
+
+#: What renders in loops of a machine. It is named, and not imported: it has the loops of all
+#: renderers, which need this module.
+_LOOPS = "raystream.rendering.ray_loops"
 
 #: Upper bound of the option `max_bounces`.
 MAX_BOUNCES = 1000
@@ -130,9 +135,7 @@ class RenderContext:
         bare = replace(self, bands=None)  # else each would keep the one before
         bands, machine = self.tracer.bands_on_device(bare), self.tracer.loop_machine
         if machine is not None:
-            from raystream.rendering.ray_loops import MultipassBands
-
-            bands = MultipassBands(bare, machine)
+            bands = importlib.import_module(_LOOPS).MultipassBands(bare, machine)
         return replace(bare, bands=bands)
 
 

@@ -94,7 +94,7 @@ def trace_samples(
         last = first + len(here) * width
         seen = aovs[sample]
         part = None if seen is None else seen.part(first, last)
-        report = part_of(serial, sample * pixel_count + first, path_count)
+        report = part_of(serial, sample * pixel_count + first, last - first, path_count)
         light[sample, first:last] = renderer.trace(context, here, samples[sample], part, report)
 
     bands = renderer.bands_of(context)

@@ -23,10 +23,11 @@ from raystream.kernels.queries import RayQueries, RaySearches, ray_queries, sear
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.registry import StructureOptions
+from raystream.structures.single_kernels import RAYS_PER_CALL, with_single
 
-#: Most rays per call of a compiled loop: enough to amortise the call (about 20 microseconds), few
-#: enough to balance the threads and to notice Ctrl-C.
-RAYS_PER_CALL = 4096
+#: Triangle tests per call: about 50 ms, or 0.2 s at worst in a grid. (With a quarter of it, calls
+#: of 52 rays took a tenth of the time in a hall with a few very long lists.)
+_TESTS_PER_CALL = 1 << 23
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ class Structure(ABC):
         Least rays per call of the queries of single rays.
     precision : {"float32", "float64"}
         Precision of triangles and distances.
-    batch_kernels : mapping of Kind to BatchKernels
+    many_ray_kernels : mapping of Kind to BatchKernels
         The kernels that trace many rays of a query at a time, if there are any.
     is_outdated : bool
         Whether `updated` has moved its arrays, which another structure has now.
@@ -129,7 +130,7 @@ class Structure(ABC):
     ray_batch: ClassVar[type[RayBatch]] = RayBatch
     least_rays: ClassVar[int] = 256
     precision: ClassVar[str] = "float32"
-    batch_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})
+    many_ray_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})
     is_outdated: bool = False
     triangles: Triangles
     report: BuildReport
@@ -214,9 +215,20 @@ class Structure(ABC):
         """Times of these kernels by kind of batch; see `machines.race`."""
         return {}
 
+    @cached_property
+    def batch_kernels(self) -> Mapping[Kind, BatchKernels]:
+        """All kernels by the kind of query: for many rays, and for single ones."""
+        return with_single(self)
+
+    @cached_property
     def rays_per_call(self) -> int:
-        """Most rays per call of a compiled loop."""
-        return RAYS_PER_CALL
+        """Most rays per call of a compiled loop: fewer where they are slow, to keep calls short."""
+        return max(1, min(RAYS_PER_CALL, _TESTS_PER_CALL // max(1, self.tests_per_ray)))
+
+    @property
+    def tests_per_ray(self) -> int:
+        """About the most triangles that a ray is tested against, if they make it slow."""
+        return 1
 
     @cached_property
     def frame(self) -> SceneFrame:

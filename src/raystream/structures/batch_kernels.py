@@ -1,4 +1,4 @@
-"""The kernels for many rays that a structure declares; `machines.batch` chooses and runs them."""
+"""The kernels that a structure declares for its batches; `machines.batch` chooses and runs them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,16 @@ import numpy as np
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
+from raystream.jit.constants import NULL
+from raystream.jit.threads import thread_count
 from raystream.kernels.aligned import array_address
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures.bvh.packets.rays import PacketOrder, PacketSource
+
+#: The name of the kernels that trace rays one by one.
+SINGLE = "single"
 
 if TYPE_CHECKING:
     from raystream.structures.bvh.coherence import Coherence
@@ -29,7 +34,7 @@ class Batch(NamedTuple):
     rays : RayBatch
     sink : Sink
     source : RaySource
-        Of these rays.
+        Of these rays; see `BatchKernel.by_packets` for the limits.
     order : PacketOrder
         Their packets.
     """
@@ -47,10 +52,12 @@ class Batch(NamedTuple):
 
     @property
     def results(self) -> ResultAddresses:
-        """Where the kernels of nearest and any hits in float32 write."""
+        """Where the kernels of nearest and any hits write."""
+        status = np.uint64(array_address(self.sink.status))
         if self.wants_any:
-            return ResultAddresses.of_any(self.sink.seen, self.sink.status)
-        return ResultAddresses.of_first(self.sink.memory, self.sink.status)
+            seen = np.uint64(array_address(self.sink.seen))
+            return ResultAddresses(NULL, NULL, NULL, NULL, seen, status)
+        return ResultAddresses(*self.sink.nearest, NULL, status)
 
     def packets(self, frame: SceneFrame) -> PacketSource:
         """The rays as packets."""
@@ -62,8 +69,47 @@ class Batch(NamedTuple):
 Calls = tuple[Callable[..., object], tuple[Any, ...]]
 
 
+class CallSize(NamedTuple):
+    """How a range of rays, packets or points is divided into calls of a kernel.
+
+    Attributes
+    ----------
+    least, most : int
+        Items per call, least <= most: enough to hide the start and the end of a call; few enough
+        that the threads finish together and Ctrl-C is noticed.
+    block : int
+        Calls for more are for a multiple of it.
+    share : int
+        Calls of each thread, if these limits allow.
+    memory_bytes : int
+        Memory of a call.
+    joins_chunks : bool
+        See `parallel_for`.
+    """
+
+    least: int
+    most: int
+    block: int = 1
+    share: int = 8
+    memory_bytes: int = 0
+    joins_chunks: bool = True
+
+    def of(self, count: int) -> int:
+        """Items of a call for a range of `count`.
+
+        Small ranges are divided among the threads, too, but not so far that starting a call costs
+        more than its items.
+        """
+        if count <= self.least:  # without counting threads: that takes 2 us
+            return self.least
+        size = -(-count // (self.share * thread_count()))
+        if size > self.block:  # whole blocks
+            size -= size % self.block
+        return min(self.most, max(self.least, size))
+
+
 class BatchKernel(NamedTuple):
-    """A kernel that traces many rays at a time, and the size of its calls.
+    """A kernel that traces the rays of a batch.
 
     Attributes
     ----------
@@ -71,35 +117,22 @@ class BatchKernel(NamedTuple):
         ``bind(structure, batch)`` returns a function and arguments: ``function(begin, end,
         *arguments)`` traces these rays, or packets. If it needs memory, its address follows, a
         multiple of 64.
-    least, most : int
-        Rays or packets per call: enough to hide the start and the end of a call; few enough that
-        the threads finish together and Ctrl-C is noticed.
-    block : int
-        Calls for more are for a multiple of it.
-    share : int
-        Calls of each thread, if these limits allow.
+    size : CallSize
     by_packets : bool
-        Whether it traces packets, of limits that are adjacent numbers.
+        Whether it traces packets, of limits that are adjacent numbers. Otherwise it has the limits
+        in the precision that it traces in.
     is_tiled : bool
         Whether packets should be tiles of the rows of a flat image.
-    takes_filter : bool
-        Whether it calls the query's filter.
-    memory_bytes : int
-        Memory of a call.
-    joins_chunks : bool
-        See `parallel_for`.
     """
 
     bind: Callable[[Any, Batch], Calls]
-    least: int
-    most: int
-    block: int = 1
-    share: int = 8
+    size: CallSize
     by_packets: bool = True
     is_tiled: bool = False
-    takes_filter: bool = False
-    memory_bytes: int = 0
-    joins_chunks: bool = True
+
+
+#: Chooses kernels by coherence, rays and bytes of the tree; see `BatchKernels`.
+Suited = Callable[["Coherence", int, int], tuple[str, ...]]
 
 
 class BatchKernels(NamedTuple):
@@ -108,21 +141,52 @@ class BatchKernels(NamedTuple):
     Attributes
     ----------
     kernels : mapping of str to BatchKernel
-        By the value of the structure's option ``kernel``. Others mean ray by ray.
-    suited : callable
+        By the value of the structure's option ``kernel``. The structure adds `SINGLE`, which
+        traces the rays one by one, and for which other values stand.
+    suited : callable or None
         ``suited(coherence, ray_count, byte_count)`` returns the name of the kernel that suits such
-        rays, and those of others that may be faster.
+        rays, and those of others that may be faster. None if there is only `SINGLE`.
     few : int
         Smaller batches, and those of as many rays, are traced by `kernel_for_few`.
     kernel_for_few : str
     """
 
     kernels: Mapping[str, BatchKernel]
-    suited: Callable[[Coherence, int, int], tuple[str, ...]]
-    few: int
-    kernel_for_few: str = "single"
+    suited: Suited | None = None
+    few: int = 0
+    kernel_for_few: str = SINGLE
 
     def named(self, options: Any, ray_count: int) -> str:
         """The kernel for a number of rays; "auto" if the rays decide."""
-        is_few = options.kernel == "auto" and ray_count <= self.few
-        return self.kernel_for_few if is_few else str(options.kernel)
+        if self.suited is None:
+            return SINGLE
+        name: str = options.kernel
+        if name == "auto":
+            return self.kernel_for_few if ray_count <= self.few else name
+        return name if name in self.kernels else SINGLE
+
+
+def by_kind(
+    nearest: BatchKernels,
+    all_hits: tuple[BatchKernel, BatchKernel],
+    suited: Suited | None = None,
+) -> dict[Kind, BatchKernels]:
+    """A structure's kernels by the kind of query.
+
+    Parameters
+    ----------
+    nearest : BatchKernels
+        For first and any hits.
+    all_hits : tuple of two BatchKernel
+        By packets: for all hits, and for their numbers.
+    suited : callable, optional
+        See `BatchKernels`, for these two [default: that of `nearest`].
+    """
+    suited, few = suited or nearest.suited, nearest.few
+    visited, counted = (BatchKernels({"packet": one}, suited, few) for one in all_hits)
+    return {
+        Kind.FIRST_HIT: nearest,
+        Kind.ANY_HIT: nearest,
+        Kind.MULTI_HIT: visited,
+        Kind.COUNT_HITS: counted,
+    }

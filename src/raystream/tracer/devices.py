@@ -42,12 +42,8 @@ class Machines(Protocol):
 
 class _CpuMachines:
     names: tuple[str, ...] = MACHINES
-
-    def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
-        return own_options(machine, options)
-
-    def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
-        return make_machine(machine, structure, options)
+    own_options = staticmethod(own_options)
+    make = staticmethod(make_machine)
 
 
 #: The machines of the CPU.

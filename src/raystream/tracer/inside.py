@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.core.scene_kinds import check_support
-from raystream.jit.threads import Progress
+from raystream.jit.threads import Progress, parts
 from raystream.kernels.crossing_sides import net_exits
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.kernels.solids import open_edges, solids_of
 from raystream.machines.batch import run_calls
 from raystream.machines.winding import inside_by_winding
+from raystream.structures.batch_kernels import CallSize
 
 #: Directions of the three rays: in no plane that people's models are likely to have.
 _DIRECTIONS = (
@@ -24,14 +25,11 @@ _DIRECTIONS = (
     (0.2281, -0.6911, -0.6857),
 )
 
-#: Steps of an equal part of a query.
-_STEPS = 1 << 20
-
 #: Meshes and edges that an error names.
 _MOST_NAMED = 3
 
-#: Points whose crossings are stored at once, and of a call of a kernel.
-_POINTS_PER_CALL, _RAYS_PER_CALL = 1 << 20, 1 << 13
+#: Points whose crossings are stored at once, and calls of the kernel that reads them.
+_POINTS_AT_ONCE, _CALLS = 1 << 20, CallSize(1 << 13, 1 << 13)
 
 
 class InsideTest:
@@ -86,31 +84,25 @@ class InsideTest:
         points = points.reshape(-1, 3)
         if not self._uses_rays:
             return inside_by_winding(self._triangles, points, progress)
-        count, parts = len(points), len(_DIRECTIONS) + 2
+        count = len(points)
         crossed, escapes = np.zeros(count, np.uint8), np.zeros(count, bool)
-        for k in range(len(_DIRECTIONS)):
+        # Two more parts: points in several solids, and doubtful ones.
+        part, total = max(count, 1), (len(_DIRECTIONS) + 2) * max(count, 1)
+        *of_rays, of_even, of_doubtful = (report for _, report in parts(total, part, progress))
+        for k, report in enumerate(of_rays):
             counts = self._tracer.count_hits(
-                points,
-                _direction(k),
-                crossings="surfaces",
-                progress=share_of(progress, k, 1, parts),
+                points, _direction(k), crossings="surfaces", progress=report
             )
             crossed += (counts & 1).astype(np.uint8)
             escapes |= counts == 0
         inside: NDArray[np.bool_] = crossed == len(_DIRECTIONS)
         # An even number of crossings: outside, or in several solids at once.
         even = np.flatnonzero((crossed == 0) & ~escapes)
-        rest = share_of(progress, len(_DIRECTIONS), 1, parts)
-        calls = -(-len(even) // _POINTS_PER_CALL)
-        for call, some in enumerate(np.array_split(even, calls) if calls else ()):
-            part = share_of(rest, call, 1, calls)
-            inside[some] = self._net_exits(points[some], part) != 0
+        for rows, report in parts(len(even), _POINTS_AT_ONCE, of_even):
+            some = even[rows]
+            inside[some] = self._net_exits(points[some], report) != 0
         doubtful = np.flatnonzero((crossed != 0) & (crossed != len(_DIRECTIONS)))
-        if len(doubtful):
-            rest = share_of(progress, parts - 1, 1, parts)
-            inside[doubtful] = inside_by_winding(self._triangles, points[doubtful], rest)
-        elif progress:
-            progress(parts * _STEPS, parts * _STEPS)
+        inside[doubtful] = inside_by_winding(self._triangles, points[doubtful], of_doubtful)
         return inside
 
     def _net_exits(self, points: NDArray[Any], progress: Progress | None) -> NDArray[np.int64]:
@@ -123,7 +115,7 @@ class InsideTest:
         corners, frame = self._triangles.corners, SceneFrame.of(self._triangles)
         exits = np.empty(len(points), np.int64)
         calls = net_exits, (source, frame, corners, found.ray_splits, found.prim_id, exits)
-        run_calls(calls, (0, len(points)), _RAYS_PER_CALL, _RAYS_PER_CALL)
+        run_calls(calls, (0, len(points)), _CALLS)
         del kept
         return exits
 
@@ -137,16 +129,3 @@ def _listed(shown: list[str], total: int) -> str:
     if total > len(shown):
         shown = [*shown, f"{total - len(shown):,} more"]
     return " and ".join(filter(None, (", ".join(shown[:-1]), shown[-1])))
-
-
-def share_of(progress: Progress | None, first: int, parts: int, total: int) -> Progress | None:
-    """Progress callback of some of `total` equal parts of a query, whatever their own steps."""
-    if progress is None:
-        return None
-    whole = progress
-
-    def report(done: int, count: int) -> object:
-        share = parts * _STEPS * done // max(count, 1)
-        return whole(first * _STEPS + share, total * _STEPS)
-
-    return report

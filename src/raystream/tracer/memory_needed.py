@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import operator
 from typing import Any, NamedTuple
 
+from raystream.core.checks import check_least
 from raystream.core.memory import check_memory
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
@@ -97,9 +97,7 @@ class MemoryEstimator(RayCaster):
         >>> tracer.memory_needed(10_000_000).results
         170000000
         """
-        count = operator.index(rays)
-        if count < 0:
-            raise ValueError(f"rays: expected a number of at least 0, got {count}")
+        count = check_least("rays", rays, 0)
         kind = _KINDS.get(query)
         if kind is None:
             raise ValueError(f"query: expected one of {', '.join(_KINDS)}, got {query!r}")
@@ -107,10 +105,7 @@ class MemoryEstimator(RayCaster):
         if kind is Kind.MULTI_HIT:
             if max_hits is None:
                 raise ValueError("max_hits: required, since the memory of multi_hit depends on it")
-            limit = operator.index(max_hits)
-            if limit < 0:
-                raise ValueError(f"max_hits: expected a number of at least 0, got {limit}")
-            hits = count * limit
+            hits = count * check_least("max_hits", max_hits, 0)
         return self._needed(kind, count, hits)
 
     def _needed(self, kind: Kind, count: int, hits: int) -> MemoryNeeded:

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import operator
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_least
 from raystream.core.closest_points import ClosestPoints
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_real_array, as_vectors, broadcast
 from raystream.core.scene_kinds import check_support
-from raystream.jit.threads import Progress, thread_count
-from raystream.kernels.point_queries import POINTS_PER_CALL, NearestArrays, PointBatch, work_bytes
+from raystream.jit.threads import Progress, part_of
+from raystream.kernels.point_queries import NearestArrays, PointBatch, answer_bytes
 from raystream.machines.winding import winding_of
 from raystream.structures.registry import names_with
-from raystream.tracer.inside import InsideTest, share_of
+from raystream.tracer.inside import InsideTest
 from raystream.tracer.memory_needed import CHECKED_RAYS
 from raystream.tracer.ray_cast import RayCaster
-
-#: A row of the result.
-_ROW_BYTES = 8 + 24 + 4 + 4 + 4
 
 
 class PointQueries(RayCaster):
@@ -117,10 +114,7 @@ class PointQueries(RayCaster):
         >>> tracer.closest_points([278.0, 273.0, 280.0], 3).prim_id.tolist()
         [30, 23, 28]
         """
-        count = operator.index(k)
-        if count < 1:
-            raise ValueError(f"k: expected a number of triangles >= 1, got {k}")
-        return self._nearest(points, count, max_distance, progress)
+        return self._nearest(points, check_least("k", k, 1), max_distance, progress)
 
     def signed_distance(
         self,
@@ -165,9 +159,13 @@ class PointQueries(RayCaster):
         [-0.5, 3.0]
         """
         test = InsideTest(self, method)  # first: it may refuse
-        total = 5  # of the progress: the distance counts as one part, the inside as four
-        nearest = self._nearest(points, None, max_distance, share_of(progress, 0, 1, total))
-        inside = test.inside(as_vectors("points", points), share_of(progress, 1, 4, total))
+        given = as_vectors("points", points)
+        # Of the progress, the distance counts as one part, the inside as four.
+        steps = max(given.size // 3, 1)
+        of_inside = part_of(progress, steps, 4 * steps, 5 * steps)
+        own = part_of(progress, 0, steps, 5 * steps)
+        nearest = self._nearest(points, None, max_distance, own)
+        inside = test.inside(given, of_inside)
         distance = nearest.distance.reshape(-1)
         distance[inside] *= -1.0
         distance[nearest.status.reshape(-1) != 0] = np.nan
@@ -304,12 +302,8 @@ class PointQueries(RayCaster):
         count, capacity = len(local), 1 if k is None else k
         rows = count * capacity
         if rows >= CHECKED_RAYS:
-            working = thread_count() * work_bytes(min(count, POINTS_PER_CALL), capacity)
-            check_memory(
-                rows * _ROW_BYTES + working,
-                f"{rows:,} nearest triangles would",
-                "give fewer points or a smaller k",
-            )
+            needed, what = answer_bytes(count, capacity), f"{rows:,} nearest triangles would"
+            check_memory(needed, what, "give fewer points or a smaller k")
         out = NearestArrays.empty(count, capacity)
         self._backend.find_nearest(PointBatch(local, limits, capacity), out, progress)
         wide = shape if k is None else (*shape, k)

@@ -14,7 +14,6 @@ from conftest import TRACERS, assert_same_bits
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.kernels.hits import Sink
-from raystream.kernels.ray import SceneFrame
 from raystream.machines import Branching
 from raystream.machines.steps import steps_of
 from raystream.streams import Counters
@@ -31,7 +30,13 @@ from raystream_lab.kernels.recirculation import (
     measure_recirculation,
 )
 from raystream_lab.kernels.record_code import compile_steps
-from raystream_lab.kernels.snapshots import Search, busiest, local_rays, snapshots
+from raystream_lab.kernels.snapshots import (
+    Search,
+    busiest,
+    in_local_frame,
+    local_rays,
+    snapshots,
+)
 
 #: Each recompiles its kernels: inspected code is not cached on disk.
 #: That of the graph takes them as long as all of the others.
@@ -69,8 +74,7 @@ def test_a_search_finds_what_the_structure_finds(name):
     structure, rays = make(name)
     query = Query(Kind.FIRST_HIT)
     sink = Sink.of(query, len(rays.t_min))
-    frame = SceneFrame.identity(structure.triangles)
-    Branching(structure).trace_singly(query, RayBatch(*rays), sink, frame=frame)
+    Branching(in_local_frame(structure)).run(query, RayBatch(*rays), sink)
     expected = sink.hits
     search = Search(structure, rays, "double", compaction=True)
     assert search.run() > 2

@@ -19,10 +19,9 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.kernels.hits import Sink
 from raystream.kernels.local_frame import LocalRays
-from raystream.kernels.ray import SceneFrame
 from raystream.machines import Branching
 from raystream.structures import Structure
-from raystream_lab.kernels.snapshots import Search
+from raystream_lab.kernels.snapshots import Search, in_local_frame
 from raystream_lab.timing import repeat, seconds_of
 
 #: Structures whose branching machine traces single rays, as `kernels.queries` does.
@@ -220,11 +219,9 @@ def _time_idle(search: Search) -> dict[str, float]:
 
 
 def _time_branching(structure: Structure, rays: LocalRays) -> float:
-    backend, query = Branching(structure), Query(Kind.FIRST_HIT)
-    frame, batch = SceneFrame.identity(structure.triangles), RayBatch(*rays)
+    backend, query = Branching(in_local_frame(structure)), Query(Kind.FIRST_HIT)
+    batch = RayBatch(*rays)
     sink = Sink.of(query, len(batch))
     one = RayBatch(*(column[:1] for column in rays))
-    backend.trace_singly(query, one, Sink.of(query, 1), frame=frame)
-    return float(
-        np.median(repeat(lambda: backend.trace_singly(query, batch, sink, frame=frame), 3))
-    )
+    backend.run(query, one, Sink.of(query, 1))
+    return float(np.median(repeat(lambda: backend.run(query, batch, sink), 3)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayBatch
 from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.kernels.local_frame import LocalRays
+from raystream.kernels.ray import SceneFrame
 from raystream.machines.ray_block import blocks
 from raystream.machines.ray_job import RayJob
 from raystream.machines.ray_streams import RayStreams, declared_as
@@ -19,6 +21,13 @@ from raystream.machines.steps import Steps, steps_of
 from raystream.streams import Counters, Kernel, Stream
 from raystream.structures import Structure
 from raystream_lab.kernels.record_code import first_hit_query
+
+
+def in_local_frame(structure: Structure) -> Structure:
+    """A copy that traces rays of its own frame, one by one."""
+    local = copy.copy(structure)
+    local.frame, local.many_ray_kernels = SceneFrame.identity(structure.triangles), {}
+    return local
 
 
 def local_rays(structure: Structure, origins: Any, directions: Any) -> LocalRays:

@@ -82,9 +82,9 @@ def record(
     batch = RayBatch(origins, directions, t_min, t_max)
     recording = _Recording(structure, batch, any_hit)
     count = len(batch)
-    recording.run(part_of(progress, 0, 2 * count))
+    recording.run(part_of(progress, 0, count, 2 * count))
     recording.allocate(visits)
-    recording.run(part_of(progress, count, 2 * count))
+    recording.run(part_of(progress, count, count, 2 * count))
     return recording.walks()
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,14 +16,18 @@ from raystream.geometry.float64.groups import (
     trace_groups,
 )
 from raystream.geometry.float64.packets import FLOAT64_ALL, FLOAT64_COUNTS, trace_packets
-from raystream.jit.constants import ZERO_U64
 from raystream.kernels.aligned import array_address
-from raystream.kernels.hits import HitAddresses
-from raystream.kernels.ray_source import ResultAddresses
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
+from raystream.structures.batch_kernels import (
+    Batch,
+    BatchKernel,
+    BatchKernels,
+    CallSize,
+    by_kind,
+)
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
+from raystream.structures.bvh.kernel_choice import nearest_kernel
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels, count_all
-from raystream.structures.bvh.packets.queries import TREES, NearestWanted
+from raystream.structures.bvh.packets.queries import TREES
 
 if TYPE_CHECKING:
     from raystream.structures.base import Structure
@@ -45,24 +48,6 @@ def _source(bvh: Structure, batch: Batch) -> Float64Packets:
     return Float64Packets(*batch.packets(bvh.frame), exact)
 
 
-def _arguments(bvh: Structure, batch: Batch) -> tuple[Any, ...]:
-    sink = batch.sink
-    if batch.wants_any:
-        out = ResultAddresses.of_any(sink.seen, sink.status)
-    else:
-        at = HitAddresses.of(sink.hits)
-        out = ResultAddresses(*at, ZERO_U64, np.uint64(sink.status.ctypes.data))
-    return bvh.view, _source(bvh, batch), NearestWanted(batch.wants_any, None, out)
-
-
-def _packets(bvh: Structure, batch: Batch) -> Calls:
-    return trace_packets, _arguments(bvh, batch)
-
-
-def _groups(bvh: Structure, batch: Batch) -> Calls:
-    return trace_groups, _arguments(bvh, batch)
-
-
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
     is_packet = choose_kernel(coherence, count, byte_count) == "packet"
     return ("packet",) if is_packet else ("groups",)
@@ -74,26 +59,22 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
 _LEAST = 4
 
 
-def _of_groups(bind: Callable[..., Calls]) -> BatchKernel:
-    return BatchKernel(bind, _LEAST, BLOCK_PACKETS, share=4, memory_bytes=WORKING_BYTES)
-
+_GROUPS_SIZE = CallSize(_LEAST, BLOCK_PACKETS, share=4, memory_bytes=WORKING_BYTES)
 
 _KERNELS = {
-    "packet": BatchKernel(_packets, _LEAST, 64, share=4, is_tiled=True),
-    "groups": _of_groups(_groups),
+    "packet": nearest_kernel(trace_packets, CallSize(_LEAST, 64, share=4), True, _source),
+    "groups": nearest_kernel(trace_groups, _GROUPS_SIZE, False, _source),
 }
 
 _NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
-_VISITED, _COUNTED_BY_PACKETS = all_hits_kernels(TREES, FLOAT64_ALL, FLOAT64_COUNTS, _source)
+_ALL_HITS = all_hits_kernels(TREES, FLOAT64_ALL, FLOAT64_COUNTS, _source)
 _COUNTED = {
-    "packet": _COUNTED_BY_PACKETS,
-    "groups": _of_groups(partial(count_all, count_in_groups, _source)),
+    "packet": _ALL_HITS[1],
+    "groups": BatchKernel(partial(count_all, count_in_groups, _source), _GROUPS_SIZE),
 }
 
 #: The kernels by the kind of query, for trees that are not empty.
 BATCH_KERNELS = {
-    Kind.FIRST_HIT: _NEAREST,
-    Kind.ANY_HIT: _NEAREST,
-    Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited, _FEW),
+    **by_kind(_NEAREST, _ALL_HITS),
     Kind.COUNT_HITS: BatchKernels(_COUNTED, _suited, _FEW),
 }

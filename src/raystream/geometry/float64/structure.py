@@ -51,7 +51,7 @@ class Float64Structure(Structure):
         at = [np.uint64(one.ctypes.data if len(one) else 0) for one in (nodes, blocks)]
         self.view = Float64Tree(at[0], at[1], np.uint64(len(blocks)))
         if len(nodes) == 0:
-            self.batch_kernels = {}
+            self.many_ray_kernels = {}
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
             byte_count=sum(array.nbytes for array in self.arrays.values()),
@@ -70,7 +70,7 @@ class Float64Bvh(Float64Structure):
     """
 
     traverse = staticmethod(tree_blocks)
-    batch_kernels = BATCH_KERNELS
+    many_ray_kernels = BATCH_KERNELS
 
     def __init__(
         self, triangles: Float64Triangles, options: Bvh, *, progress: Progress | None = None
@@ -125,9 +125,10 @@ class Float64Brute(Float64Structure):
         if progress:
             progress(len(ids), len(ids))
 
-    def rays_per_call(self) -> int:
-        """Fewer rays on larger scenes, so that a call stays short."""
-        return max(1, min(4096, (1 << 22) // max(1, len(self.triangles.prim_ids))))
+    @property
+    def tests_per_ray(self) -> int:
+        """All triangles, each of which takes as long as two in float32."""
+        return 2 * len(self.triangles.prim_ids)
 
 
 #: By name.

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from raystream.core.query import Kind
 from raystream.geometry.instances.groups import BLOCK_PACKETS, CALL_BYTES, trace_instances
 from raystream.geometry.instances.in_flight import trace_instance_wavefront
 from raystream.geometry.instances.packets import INSTANCES
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
+from raystream.structures.batch_kernels import (
+    Batch,
+    BatchKernel,
+    BatchKernels,
+    Calls,
+    CallSize,
+    by_kind,
+)
 from raystream.structures.bvh.coherence import Coherence
-from raystream.structures.bvh.kernel_choice import nearest_kernel
+from raystream.structures.bvh.kernel_choice import NEAREST_SIZE, nearest_kernel
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
 from raystream.structures.bvh.packets.queries import NEAREST, packet_kernel
 
@@ -34,12 +40,12 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
     return ("groups", "wavefront") if coherence.near >= 0.5 else ("wavefront", "groups")
 
 
+_GROUPS_SIZE = NEAREST_SIZE._replace(block=BLOCK_PACKETS, memory_bytes=CALL_BYTES)
+
 _KERNELS = {
-    "groups": nearest_kernel(
-        trace_instances, block=BLOCK_PACKETS, is_tiled=True, memory_bytes=CALL_BYTES
-    ),
-    "packet": nearest_kernel(packet_kernel(INSTANCES, NEAREST), is_tiled=True),
-    "wavefront": BatchKernel(_wavefront, 4096, 4096, by_packets=False, takes_filter=True),
+    "groups": nearest_kernel(trace_instances, _GROUPS_SIZE),
+    "packet": nearest_kernel(packet_kernel(INSTANCES, NEAREST)),
+    "wavefront": BatchKernel(_wavefront, CallSize(4096, 4096), by_packets=False),
 }
 
 
@@ -48,13 +54,7 @@ def _suited_to_all(coherence: Coherence, count: int, byte_count: int) -> tuple[s
     return ("packet",) if coherence.narrow >= 0.5 else ("single",)
 
 
-_VISITED, _COUNTED = all_hits_kernels(INSTANCES)
-_NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
-
 #: The kernels by the kind of query, for trees that are not empty.
-BATCH_KERNELS = {
-    Kind.FIRST_HIT: _NEAREST,
-    Kind.ANY_HIT: _NEAREST,
-    Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited_to_all, _FEW),
-    Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, _suited_to_all, _FEW),
-}
+BATCH_KERNELS = by_kind(
+    BatchKernels(_KERNELS, _suited, _FEW), all_hits_kernels(INSTANCES), _suited_to_all
+)

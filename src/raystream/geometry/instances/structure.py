@@ -76,7 +76,7 @@ class InstancedStructure(Structure):
         self.frame = SceneFrame.of(boxes)
         self.trees = trees = self._trees(boxes)
         if len(trees.nodes) == 0:
-            self.batch_kernels = {}
+            self.many_ray_kernels = {}
         order = trees.order
         leaves = instance_records(triangles, order)
         self.arrays = {
@@ -123,7 +123,7 @@ class InstancedStructure(Structure):
         """
         objects = []
         for one, first in zip(triangles.objects, triangles.first_prims, strict=False):
-            part = part_of(progress, int(first), len(triangles))
+            part = part_of(progress, int(first), len(one), len(triangles))
             objects.append(cls._kind(one, options, progress=part))
         return cls(triangles, objects, options)
 
@@ -176,7 +176,7 @@ class InstancedBvh(InstancedStructure):
     _kind = BvhStructure
     traverse = staticmethod(traverse_top)
     stack_bytes = 2 * STACK_BYTES
-    batch_kernels = BATCH_KERNELS
+    many_ray_kernels = BATCH_KERNELS
 
     def _trees(self, boxes: Triangles) -> TopTrees:
         return TopTrees.of(boxes, self.triangles.instances)
@@ -188,10 +188,10 @@ class InstancedBrute(InstancedStructure):
     _kind = BruteStructure
     traverse = staticmethod(traverse_all)
 
-    def rays_per_call(self) -> int:
-        """Fewer rays on larger scenes, so that a call stays short."""
-        numbers = self.triangles.first_ids[-1] + len(self.triangles.instances)
-        return max(1, min(4096, (1 << 23) // max(1, int(numbers))))
+    @property
+    def tests_per_ray(self) -> int:
+        """All instances, and the triangles of each."""
+        return int(self.triangles.first_ids[-1]) + len(self.triangles.instances)
 
 
 def _tree_records(trees: TopTrees, leaves: NDArray[np.void]) -> NDArray[np.void]:

@@ -8,9 +8,20 @@ from raystream.core.query import Kind
 from raystream.geometry.primitives.in_flight import PrimitiveTrees, trace_primitive_wavefront
 from raystream.geometry.primitives.packets import PRIMITIVES
 from raystream.jit.constants import ZERO_U64
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
+from raystream.structures.batch_kernels import (
+    Batch,
+    BatchKernel,
+    BatchKernels,
+    Calls,
+    by_kind,
+)
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.kernel_choice import CACHED_BYTES, SMALL_BATCH, nearest_kernel
+from raystream.structures.bvh.kernel_choice import (
+    CACHED_BYTES,
+    IN_FLIGHT_SIZE,
+    SMALL_BATCH,
+    nearest_kernel,
+)
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
 from raystream.structures.bvh.packets.queries import NEAREST, packet_kernel
 
@@ -26,9 +37,9 @@ def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
     return trace_primitive_wavefront, (*rays, batch.wants_any, True, None, batch.results)
 
 
-_PACKET = nearest_kernel(packet_kernel(PRIMITIVES, NEAREST), is_tiled=True)
-_IN_FLIGHT = BatchKernel(_wavefront, 1024, 8192, by_packets=False)
-_VISITED, _COUNTED = all_hits_kernels(PRIMITIVES)
+_PACKET = nearest_kernel(packet_kernel(PRIMITIVES, NEAREST))
+_IN_FLIGHT = BatchKernel(_wavefront, IN_FLIGHT_SIZE, by_packets=False)
+_ALL_HITS = all_hits_kernels(PRIMITIVES)
 
 
 def batch_kernels(sphere_bytes: int) -> dict[Kind, BatchKernels]:
@@ -46,9 +57,4 @@ def batch_kernels(sphere_bytes: int) -> dict[Kind, BatchKernels]:
 
     in_flight = {"wavefront": _IN_FLIGHT} if sphere_bytes else {}
     nearest = BatchKernels({"packet": _PACKET, **in_flight}, suited, SMALL_BATCH)
-    return {
-        Kind.FIRST_HIT: nearest,
-        Kind.ANY_HIT: nearest,
-        Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, suited, SMALL_BATCH),
-        Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, suited, SMALL_BATCH),
-    }
+    return by_kind(nearest, _ALL_HITS)

@@ -26,13 +26,10 @@ from raystream.geometry.primitives.traversal import (
 )
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.ray import SceneFrame
-from raystream.structures.base import RAYS_PER_CALL, BuildReport, Nested, Structure
+from raystream.structures.base import BuildReport, Nested, Structure
 from raystream.structures.brute.structure import BruteStructure
 from raystream.structures.bvh.build import build_arrays, triangles_of_boxes
 from raystream.structures.bvh.structure import BvhStructure
-
-#: Tests per call of a compiled loop, by brute force: about 50 ms.
-_TESTS_PER_CALL = 1 << 23
 
 #: Boxes of the spheres' tree are grown by this part of (radius + centre's coordinate): twice
 #: `geometry.spheres.sphere.BOX_GROWTH`, so that they hold the spheres' own boxes
@@ -61,12 +58,14 @@ class PrimitiveStructure(Structure):
         self.frame = SceneFrame.of(triangles)
         count = len(triangles.triangles)
         total = count + len(triangles.spheres)
-        self._inner = self._kind(triangles.triangles, options, progress=part_of(progress, 0, total))
+        self._inner = self._kind(
+            triangles.triangles, options, progress=part_of(progress, 0, count, total)
+        )
         local = triangles.local_fields
         self._levels = [field_levels(one) for one in local]
         field_nodes, field_rows = self._tree_over(_field_boxes(triangles), 1, None)
         fields = triangles.fields, local, self._levels, triangles.first_fields
-        sphere_boxes, own = _sphere_boxes(triangles), part_of(progress, count, total)
+        sphere_boxes, own = _sphere_boxes(triangles), part_of(progress, count, total - count, total)
         sphere_nodes, sphere_rows = self._tree_over(sphere_boxes, SPHERES_PER_BLOCK, own)
         first = int(triangles.first_fields[-1])
         self.arrays = {
@@ -141,7 +140,7 @@ class PrimitiveBvh(PrimitiveStructure):
     def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
         super().__init__(triangles, options, progress=progress)
         own = self.arrays["sphere_nodes"], self.arrays["sphere_blocks"]
-        self.batch_kernels = batch_kernels(sum(one.nbytes for one in own))
+        self.many_ray_kernels = batch_kernels(sum(one.nbytes for one in own))
 
     def _tree_over(
         self, boxes: NDArray[np.float64], leaf_size: int, progress: Progress | None
@@ -159,9 +158,10 @@ class PrimitiveBrute(PrimitiveStructure):
     traverse = staticmethod(traverse_all)
     stack_bytes = STACK_BYTES
 
-    def rays_per_call(self) -> int:
-        """Fewer rays on larger scenes, so that a call stays short."""
-        return max(1, min(RAYS_PER_CALL, _TESTS_PER_CALL // max(1, len(self.triangles))))
+    @property
+    def tests_per_ray(self) -> int:
+        """All primitives."""
+        return len(self.triangles)
 
 
 def _field_boxes(primitives: Primitives) -> NDArray[np.float64]:

@@ -8,12 +8,9 @@ import numpy as np
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.structures.base import RAYS_PER_CALL, BuildReport, Structure
+from raystream.structures.base import BuildReport, Structure
 from raystream.structures.brute.options import Brute
 from raystream.structures.brute.traversal import BruteAddresses, traverse
-
-#: Triangle tests per call of a compiled loop: about 50 ms.
-_TESTS_PER_CALL = 1 << 23
 
 
 class BruteStructure(Structure):
@@ -50,7 +47,7 @@ class BruteStructure(Structure):
         """The number of triangles that each ray is tested against."""
         return {"tests per ray": float(len(self.triangles.prim_ids))}
 
-    def rays_per_call(self) -> int:
-        """Fewer rays on larger scenes, so that a call stays short."""
-        tests = max(1, len(self.triangles.prim_ids))
-        return max(1, min(RAYS_PER_CALL, _TESTS_PER_CALL // tests))
+    @property
+    def tests_per_ray(self) -> int:
+        """All triangles."""
+        return len(self.triangles.prim_ids)

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from raystream.core.query import Kind
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
+from raystream.structures.batch_kernels import (
+    Batch,
+    BatchKernel,
+    BatchKernels,
+    Calls,
+    CallSize,
+    by_kind,
+)
 from raystream.structures.bvh.coherence import Coherence, choose_kernel, rivals
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
+from raystream.structures.bvh.packets.multi_hit import SourceOf, all_hits_kernels, plain_source
 from raystream.structures.bvh.packets.queries import NEAREST, TREES, NearestWanted, packet_kernel
 from raystream.structures.bvh.ray_groups.queries import trace_groups
 from raystream.structures.bvh.ray_groups.rays import BLOCK_PACKETS, MEMORY_BYTES
@@ -37,14 +43,25 @@ def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
     return trace_wavefront, (*rays, batch.wants_any, prefetching, batch.query.on_hit, batch.results)
 
 
-def _nearest_of(trace: Callable[..., object], structure: Structure, batch: Batch) -> Calls:
+#: Calls of packets.
+NEAREST_SIZE = CallSize(4, 64)
+
+
+def _nearest_of(
+    trace: Callable[..., object], source_of: SourceOf, structure: Structure, batch: Batch
+) -> Calls:
     wanted = NearestWanted(batch.wants_any, batch.query.on_hit, batch.results)
-    return trace, (structure.view, batch.packets(structure.frame), wanted)
+    return trace, (structure.view, source_of(structure, batch), wanted)
 
 
-def nearest_kernel(trace: Callable[..., object], **options: Any) -> BatchKernel:
+def nearest_kernel(
+    trace: Callable[..., object],
+    size: CallSize = NEAREST_SIZE,
+    is_tiled: bool = True,
+    source_of: SourceOf = plain_source,
+) -> BatchKernel:
     """The kernel that finds the nearest or any hits, as a function for a `NearestWanted`."""
-    return BatchKernel(partial(_nearest_of, trace), 4, 64, takes_filter=True, **options)
+    return BatchKernel(partial(_nearest_of, trace, source_of), size, is_tiled=is_tiled)
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
@@ -52,20 +69,17 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
     return guess, *rivals(coherence, guess)
 
 
+#: Calls of rays in flight: fewer would not use all slots at the start and the end of a call.
+IN_FLIGHT_SIZE = CallSize(1024, 8192)
+
+_GROUPS_SIZE = NEAREST_SIZE._replace(block=BLOCK_PACKETS, memory_bytes=MEMORY_BYTES)
+
 _NEAREST = {
-    "packet": nearest_kernel(packet_kernel(TREES, NEAREST), is_tiled=True),
-    "groups": nearest_kernel(trace_groups, block=BLOCK_PACKETS, memory_bytes=MEMORY_BYTES),
-    # Fewer rays would not use all slots at the start and the end of a call.
-    "wavefront": BatchKernel(_wavefront, 1024, 8192, by_packets=False, takes_filter=True),
+    "packet": nearest_kernel(packet_kernel(TREES, NEAREST)),
+    "groups": nearest_kernel(trace_groups, _GROUPS_SIZE, is_tiled=False),
+    "wavefront": BatchKernel(_wavefront, IN_FLIGHT_SIZE, by_packets=False),
 }
 _FIRST_OR_ANY = BatchKernels(_NEAREST, _suited, SMALL_BATCH, "wavefront")
 
-_VISITED, _COUNTED = all_hits_kernels(TREES)
-
 #: The kernels by the kind of query, for trees that are not empty.
-BATCH_KERNELS = {
-    Kind.FIRST_HIT: _FIRST_OR_ANY,
-    Kind.ANY_HIT: _FIRST_OR_ANY,
-    Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited, SMALL_BATCH),
-    Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, _suited, SMALL_BATCH),
-}
+BATCH_KERNELS = by_kind(_FIRST_OR_ANY, all_hits_kernels(TREES))

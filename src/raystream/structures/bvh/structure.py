@@ -37,7 +37,7 @@ class BvhStructure(Structure):
 
     traverse = staticmethod(traverse)
     stack_bytes = STACK_BYTES
-    batch_kernels = BATCH_KERNELS
+    many_ray_kernels = BATCH_KERNELS
     options: Bvh
 
     def __init__(
@@ -56,7 +56,7 @@ class BvhStructure(Structure):
         self.arrays = {"nodes": tree.nodes, "leaves": tree.leaves}
         self.view = TreeAddresses._make(map(np.uint64, addresses))
         if len(tree.nodes) == 0:
-            self.batch_kernels = {}
+            self.many_ray_kernels = {}
         held_ids = triangles.prim_ids
         is_held = tree.prim_ids >= 0
         if np.count_nonzero(is_held) != len(held_ids):

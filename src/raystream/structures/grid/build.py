@@ -170,7 +170,9 @@ def build_lists(
     """
     corners, prim_ids = triangles.corners, triangles.prim_ids
     layers = find_layers(corners, prim_ids, lattice)
-    halves = iter(_halves(progress, lattice.counts[layers.axis], len(prim_ids)))
+    # Two loops over the layers.
+    count, half = len(prim_ids), len(prim_ids) // 2
+    halves = iter((part_of(progress, 0, half, count), part_of(progress, half, count - half, count)))
 
     def list_all(output: ListOutput) -> int:
         return list_triangles(corners, prim_ids, lattice, layers, output, next(halves))
@@ -201,20 +203,6 @@ def count_and_fill(
     references = np.empty(total, np.int32)
     list_all(ListOutput(splits[:-1].copy(), references, limit))
     return GridArrays(splits, references)
-
-
-def _halves(
-    progress: Progress | None, layer_count: int, triangle_count: int
-) -> tuple[Progress | None, Progress | None]:
-    """Callbacks for two loops over the layers, in terms of triangles."""
-    if progress is None:
-        return None, None
-    report, steps = progress, 2 * layer_count
-
-    def whole(done: int, _: int) -> None:
-        report(done * triangle_count // steps, triangle_count)
-
-    return part_of(whole, 0, steps), part_of(whole, layer_count, steps)
 
 
 def find_layers(

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.structures.base import (
-    RAYS_PER_CALL,
-    BuildReport,
-    Structure,
-    UpdateReport,
-)
+from raystream.structures.base import BuildReport, Structure, UpdateReport
 from raystream.structures.grid.build import build_grid
 from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.layout import (
@@ -33,10 +28,6 @@ from raystream.structures.grid.statistics import statistics, trace_cost
 from raystream.structures.grid.traversal import traverse
 from raystream.structures.grid.update import move_lists
 from raystream.structures.saved import solid_mask, take
-
-#: Cells and triangles per call of a compiled loop: 0.2 s at worst. With 2**22, calls of 52 rays
-#: took a tenth of the time in a hall with a few very long lists.
-_STEPS_PER_CALL = 1 << 24
 
 #: Largest local coordinate, so that no distance overflows float32.
 _LARGEST_BOX = 2.0**60
@@ -102,19 +93,15 @@ class GridStructure(Structure):
             byte_count=kept_bytes - self._kept[2].nbytes,
         )
 
-    def rays_per_call(self) -> int:
-        """Fewer rays where lists or walks are long, so that a call is short."""
-        return max(1, min(RAYS_PER_CALL, _STEPS_PER_CALL // self._steps_per_ray))
-
-    @cached_property
-    def _steps_per_ray(self) -> int:
-        """About the most cells and triangles that a ray visits."""
+    @property
+    def tests_per_ray(self) -> int:
+        """Half of the most cells and triangles that a ray visits, about; few visit so many."""
         sizes = np.diff(self.lists.splits)
         sizes[self.fine.cells] = 0
         inner = np.diff(self.fine.lists.splits)
         longest = max(int(sizes.max()), int(inner.max(initial=0)))
         usual = 1 + len(self.lists.references) // self.lattice.cell_count
-        return longest + usual * sum(self.lattice.counts)
+        return (longest + usual * sum(self.lattice.counts)) // 2
 
     @cached_property
     def cost_when_built(self) -> float:

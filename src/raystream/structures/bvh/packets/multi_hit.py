@@ -16,7 +16,7 @@ from raystream.jit.simd import load, store
 from raystream.kernels.growing_buffers import GrowingBuffers
 from raystream.kernels.hits import HitArrays, HitBatch
 from raystream.kernels.ray import world_t
-from raystream.structures.batch_kernels import Batch, BatchKernel, Calls
+from raystream.structures.batch_kernels import Batch, BatchKernel, Calls, CallSize
 from raystream.structures.bvh.leaf_kinds import CountsLanes, collecting_leaf
 from raystream.structures.bvh.packets.hits import (
     COLLECTOR_BYTES,
@@ -297,6 +297,6 @@ def all_hits_kernels(
     count = trace if counts is None else packet_kernel(scenes, counts)
     visited, counted = partial(_visit_all, trace, source_of), partial(count_all, count, source_of)
     return (
-        BatchKernel(visited, 8, PACKETS_PER_CALL, is_tiled=True, joins_chunks=False),
-        BatchKernel(counted, 8, COUNTED_PER_CALL, is_tiled=True),
+        BatchKernel(visited, CallSize(8, PACKETS_PER_CALL, joins_chunks=False), is_tiled=True),
+        BatchKernel(counted, CallSize(8, COUNTED_PER_CALL), is_tiled=True),
     )
