@@ -35,7 +35,7 @@ from raystream.jit.simd import (
 )
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_direction, load_origin
-from raystream.structures.bvh.packets.load import load_directions, load_origins
+from raystream.structures.bvh.packets.load import read_lanes
 from raystream.structures.bvh.packets.rays import (
     GROUPS,
     PACKET_RAYS,
@@ -199,6 +199,12 @@ def _ray_at(source, i):
 
 
 @device
+def _rays_at(source, first):
+    rays = read_lanes(source, first, f32x16, np.float32)
+    return rays.origin + rays.direction
+
+
+@device
 def _square_distance(a, b, weights):
     """Weighted square of the distance of two rays, or of 16 from 16."""
     ax, ay, az, adx, ady, adz = a
@@ -235,8 +241,7 @@ def _best_of(source, start, first, end, count, weights):
     best, closeness, best_score = ZERO_U64, INF_F32, INF_F32
     at = max(first, ONE_U64)
     while at < end and at + _LANES <= count:
-        rays = load_origins(source, at) + load_directions(source, at)
-        before = load_origins(source, at - ONE_U64) + load_directions(source, at - ONE_U64)
+        rays, before = _rays_at(source, at), _rays_at(source, at - ONE_U64)
         near = narrow(_square_distance(rays, above, weights))
         far = narrow(_square_distance(rays, before, weights) + _TINY)
         ratio = near / far

@@ -103,7 +103,7 @@ QUEUE_BYTES = int(IN_FLIGHT * BYTES_64 + _LINE)
 @device
 def start_ray(slot, keys, children, i, ray, max_coordinate):
     """Put a ray into a slot, before the root."""
-    r = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, max_coordinate)
+    r = prepare_ray(ray.origin, ray.direction, max_coordinate)
     inv_x = component(r.kx, r.inv_x, r.inv_y, r.inv_z)
     inv_y = component(r.ky, r.inv_x, r.inv_y, r.inv_z)
     inv_z = r.sz
