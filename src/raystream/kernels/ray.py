@@ -260,12 +260,9 @@ def _outside_axis(o, low, high):
 def outside_by(origin, frame):
     """Distance of an origin of numbers or vectors from the scene's box; negative inside."""
     low, high = frame.low, frame.high
-    return maximum(
-        maximum(
-            _outside_axis(origin[0], low[0], high[0]), _outside_axis(origin[1], low[1], high[1])
-        ),
-        _outside_axis(origin[2], low[2], high[2]),
-    )
+    x = _outside_axis(origin[0], low[0], high[0])
+    y = _outside_axis(origin[1], low[1], high[1])
+    return maximum(maximum(x, y), _outside_axis(origin[2], low[2], high[2]))
 
 
 @device
@@ -442,9 +439,42 @@ def component(k, x, y, z):
 
 
 @device
-def _reciprocal(d, tiny):
+def _reciprocal(d, tiny, unit):
     # copysign, not a comparison: -0 counts as negative, like its neighbours.
-    return copy_sign(ONE_F32 / max(abs(d), tiny), d)
+    return copy_sign(unit / maximum(absolute(d), tiny), d)
+
+
+@device
+def slab_constants(origin, direction, tiny, pad, unit):
+    """What slab distances of a ray take, or of sixteen: numbers or vectors.
+
+    Padding moves near planes towards the origin and far planes away from it, so it has the
+    direction's sign.
+
+    Parameters
+    ----------
+    origin, direction : triple
+    tiny : number
+        Components of the direction are at least this large.
+    pad : number
+        How much boxes are padded, positive.
+    unit : number
+        The distance in which the others are measured, positive.
+
+    Returns
+    -------
+    inv, near, far : triple
+        Reciprocal direction; the distance to a near plane is fma(plane, inv, near), and to a far
+        one fma(plane, inv, far).
+    """
+    (ox, oy, oz), (dx, dy, dz) = origin, direction
+    inv_x = _reciprocal(dx, tiny, unit)
+    inv_y = _reciprocal(dy, tiny, unit)
+    inv_z = _reciprocal(dz, tiny, unit)
+    pad_x, pad_y, pad_z = copy_sign(pad, dx), copy_sign(pad, dy), copy_sign(pad, dz)
+    near = -((ox + pad_x) * inv_x), -((oy + pad_y) * inv_y), -((oz + pad_z) * inv_z)
+    far = -((ox - pad_x) * inv_x), -((oy - pad_y) * inv_y), -((oz - pad_z) * inv_z)
+    return (inv_x, inv_y, inv_z), near, far
 
 
 @device
@@ -467,30 +497,23 @@ def prepare_ray(origin, direction, max_coordinate):
     # Step 1: the frame's z axis is the largest component; the first one wins a tie.
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     kz = np.uint64(0)
-    largest = ax
-    if ay > largest:
+    longest = ax
+    if ay > longest:
         kz = np.uint64(1)
-        largest = ay
-    if az > largest:
+        longest = ay
+    if az > longest:
         kz = np.uint64(2)
-        largest = az
+        longest = az
     kx = kz + np.uint64(1) if kz < np.uint64(2) else np.uint64(0)
     ky = kx + np.uint64(1) if kx < np.uint64(2) else np.uint64(0)
 
-    # Step 2: slab constants. Padding moves near planes towards the origin and far planes away
-    # from it, so it has the direction's sign.
-    tiny = largest * TINY_DIRECTION
-    reach = max(abs(ox), abs(oy), abs(oz))
-    pad = PAD * (max_coordinate + reach)
-    inv_x = _reciprocal(dx, tiny)
-    inv_y = _reciprocal(dy, tiny)
-    inv_z = _reciprocal(dz, tiny)
-    pad_x = copy_sign(pad, dx)
-    pad_y = copy_sign(pad, dy)
-    pad_z = copy_sign(pad, dz)
+    # Step 2: slab constants, with boxes padded for the rounding of the triangle test.
+    pad = PAD * (max_coordinate + largest((ox, oy, oz)))
+    tiny = longest * TINY_DIRECTION
+    inv, near, far = slab_constants((ox, oy, oz), (dx, dy, dz), tiny, pad, ONE_F32)
 
     # Step 3: the shear. kz is not tiny, so its reciprocal is exact to one rounding.
-    sz = component(kz, inv_x, inv_y, inv_z)
+    sz = component(kz, *inv)
     return Ray(
         kx,
         ky,
@@ -504,13 +527,7 @@ def prepare_ray(origin, direction, max_coordinate):
         component(kx, dx, dy, dz) * sz,
         component(ky, dx, dy, dz) * sz,
         sz,
-        inv_x,
-        inv_y,
-        inv_z,
-        -((ox + pad_x) * inv_x),
-        -((oy + pad_y) * inv_y),
-        -((oz + pad_z) * inv_z),
-        -((ox - pad_x) * inv_x),
-        -((oy - pad_y) * inv_y),
-        -((oz - pad_z) * inv_z),
+        *inv,
+        *near,
+        *far,
     )

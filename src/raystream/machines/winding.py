@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.point_order import order_bytes
+from raystream.kernels.ray import MOST_COORDINATE
 from raystream.kernels.winding import LANES, winding_numbers
 from raystream.kernels.winding_tree import tree_winding_numbers, winding_tree_of
 from raystream.machines.batch import run_calls, run_in_turn
@@ -31,9 +32,6 @@ _OPENINGS = (0.5, 0.2, 0.05)
 #: The bound is rarely above the third power of the opening. The first to try for an accuracy has
 #: this much of that; the least is one that is worthwhile.
 _CUBE, _LEAST_OPENING = 0.7, 0.008
-
-#: Coordinates beyond this are invalid, as those of rays.
-_FARTHEST = 2.0**200
 
 
 def winding_of(
@@ -69,9 +67,8 @@ def _local(
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """The valid points, in the local frame."""
     with np.errstate(invalid="ignore", over="ignore"):
-        is_valid = (np.abs(points) <= _FARTHEST).all(axis=-1)
-        local = (np.asarray(points[is_valid], np.float64) - triangles.center) * triangles.scale
-    return is_valid, local
+        is_valid = (np.abs(points) <= MOST_COORDINATE).all(axis=-1)
+    return is_valid, triangles.to_local(points[is_valid], np.float64)
 
 
 def _numbers(

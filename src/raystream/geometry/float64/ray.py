@@ -16,7 +16,6 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
     absolute,
-    copy_sign,
     maximum,
     minimum,
     select,
@@ -30,6 +29,7 @@ from raystream.kernels.ray import (
     length_power,
     scaled,
     scaled_slowly,
+    slab_constants,
     to_frame,
 )
 from raystream.structures.bvh.node_layout import BOX_FLIP, NODE_AXIS
@@ -149,11 +149,6 @@ def _first_planes(axis, inv):
 
 
 @device
-def _inverse(d, inverse_scale):
-    return copy_sign(inverse_scale / max(abs(d), _TINY), d)
-
-
-@device
 def usual_line(ray):
     """The line of a `WorldRay`, or of sixteen, if one product scales it.
 
@@ -234,20 +229,16 @@ def prepare_float64(ray, frame):
 @device
 def ray_of_line(line, half, rest, status, frame):
     """The ray of a line; see `make_line` for the arguments."""
-    dx, dy, dz = line.direction
-    x, y, z = local = to_frame(line.origin, frame)
+    local = to_frame(line.origin, frame)
     pad = _PAD * (np.float64(frame.max_coordinate) + largest(local))
-    inv_x = _inverse(dx, frame.inverse_scale)
-    inv_y = _inverse(dy, frame.inverse_scale)
-    inv_z = _inverse(dz, frame.inverse_scale)
-    pad_x, pad_y, pad_z = copy_sign(pad, inv_x), copy_sign(pad, inv_y), copy_sign(pad, inv_z)
+    inv, near, far = slab_constants(local, line.direction, _TINY, pad, frame.inverse_scale)
     return Float64Ray(
         line,
         half,
         rest,
-        (_first_planes(_X, inv_x), _first_planes(_Y, inv_y), _first_planes(_Z, inv_z)),
-        (inv_x, inv_y, inv_z),
-        (-((x + pad_x) * inv_x), -((y + pad_y) * inv_y), -((z + pad_z) * inv_z)),
-        (-((x - pad_x) * inv_x), -((y - pad_y) * inv_y), -((z - pad_z) * inv_z)),
+        (_first_planes(_X, inv[0]), _first_planes(_Y, inv[1]), _first_planes(_Z, inv[2])),
+        inv,
+        near,
+        far,
         status,
     )

@@ -21,7 +21,6 @@ from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
     absolute,
     all_lanes,
-    copy_sign,
     count_trailing_zeros,
     f32x16,
     f64x16,
@@ -38,7 +37,7 @@ from raystream.jit.simd import (
     store,
     widen,
 )
-from raystream.kernels.ray import PAD, TINY_DIRECTION, WorldRay, largest
+from raystream.kernels.ray import PAD, TINY_DIRECTION, WorldRay, largest, slab_constants
 from raystream.kernels.ray_source import load_ray, near_ray
 from raystream.structures.bvh.packets.rays import (
     GROUP_BYTES,
@@ -216,24 +215,16 @@ _load_lanes = lanes_loader(_read, _move, _put, _load_one)
 @device
 def prepare_group(group, max_coordinate):
     """`kernels.ray.prepare_ray` of a group, and its direction classes."""
-    ox, oy, oz = three(group.origin)
-    dx, dy, dz = three(group.direction)
+    origin, direction = three(group.origin), three(group.direction)
+    dx, dy, dz = direction
     ax, ay, az = absolute(dx), absolute(dy), absolute(dz)
-    is_y = ay > ax
-    is_z = az > maximum(ay, ax)
-    tiny = maximum(az, maximum(ay, ax)) * TINY_DIRECTION
-    pad = (largest((ox, oy, oz)) + max_coordinate) * PAD
-    one = f32x16(ONE_F32)
-    inv_x = copy_sign(one / maximum(ax, tiny), dx)
-    inv_y = copy_sign(one / maximum(ay, tiny), dy)
-    inv_z = copy_sign(one / maximum(az, tiny), dz)
-    pad_x, pad_y, pad_z = copy_sign(pad, dx), copy_sign(pad, dy), copy_sign(pad, dz)
-    near_x, near_y, near_z = (ox + pad_x) * inv_x, (oy + pad_y) * inv_y, (oz + pad_z) * inv_z
-    far_x, far_y, far_z = (ox - pad_x) * inv_x, (oy - pad_y) * inv_y, (oz - pad_z) * inv_z
-    put_three(group.inv, (inv_x, inv_y, inv_z))
-    put_three(group.near, (-near_x, -near_y, -near_z))
-    put_three(group.far, (-far_x, -far_y, -far_z))
-    sz = select(is_z, inv_z, select(is_y, inv_y, inv_x))
+    is_y, is_z = ay > ax, az > maximum(ay, ax)
+    tiny, pad = largest(direction) * TINY_DIRECTION, (largest(origin) + max_coordinate) * PAD
+    inv, near, far = slab_constants(origin, direction, tiny, pad, ONE_F32)
+    put_three(group.inv, inv)
+    put_three(group.near, near)
+    put_three(group.far, far)
+    sz = select(is_z, inv[2], select(is_y, inv[1], inv[0]))
     shear_x = select(is_z, dx, select(is_y, dz, dy)) * sz
     shear_y = select(is_z, dy, select(is_y, dx, dz)) * sz
     put_three(group.shear, (shear_x, shear_y, sz))
