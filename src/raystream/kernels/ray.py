@@ -224,19 +224,26 @@ def to_frame(point, frame):
 
 
 @device
-def length_power(direction):
+def length_power(direction, least, most):
     """Scaling by one product, of a direction of numbers or vectors.
+
+    Parameters
+    ----------
+    direction : triple
+    least, most : int64
+        Biased exponents.
 
     Returns
     -------
-    exponent
-        The biased exponent of the largest component's magnitude.
-    power, inverse
-        A power of two that scales it to [1, 2), and its reciprocal: of usual exponents only.
+    is_usual : bool or mask
+        Whether all are numbers, and the largest one's exponent is in between.
+    power, inverse : float64
+        Then, a power of two that scales it to [1, 2), and its reciprocal.
     """
     exponent = float_as_bits(largest(direction)) >> MANTISSA_BITS
+    is_usual = (exponent >= least) & (exponent <= most) & are_within(direction, INF_F64)
     power = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS)
-    return exponent, power, bits_as_float(exponent << MANTISSA_BITS)
+    return is_usual, power, bits_as_float(exponent << MANTISSA_BITS)
 
 
 @device_call
@@ -352,8 +359,8 @@ def to_local(ray, frame):
 
     # Step 1: move by the centre; scale so that the largest component is in [1, 2).
     origin = to_frame(ray.origin, frame)
-    exponent, power, _ = length_power(ray.direction)
-    if exponent >= LEAST_EXPONENT and exponent <= MOST_EXPONENT:
+    is_usual, power, _ = length_power(ray.direction, LEAST_EXPONENT, MOST_EXPONENT)
+    if is_usual:
         # One exact product, without functions that take as long as the rest.
         direction = scaled(ray.direction, power)
     else:

@@ -17,7 +17,6 @@ from raystream.core.rays import DEFAULT_LIMITS, VALID
 from raystream.jit.constants import (
     BYTES_32,
     BYTES_64,
-    INF_F64,
     ONE_U64,
     TWO_U64,
     ZERO_F32,
@@ -25,7 +24,7 @@ from raystream.jit.constants import (
     ZERO_U64,
 )
 from raystream.jit.cpu import device
-from raystream.jit.simd import absolute, as_float32, load, widen
+from raystream.jit.simd import as_float32, load, widen
 from raystream.kernels.adjacent_rows import adjacent_rows
 from raystream.kernels.aligned import array_address
 from raystream.kernels.ray import (
@@ -271,11 +270,7 @@ def scale_ray(ray, frame):
     is_exact : two bool or masks
         Whether these are exact.
     """
-    exponent, power, inverse = length_power(ray.direction)
-    dx, dy, dz = ray.direction
-    # A sum of magnitudes is not finite if one of them is not.
-    is_finite = absolute(dx) + absolute(dy) + absolute(dz) < INF_F64
-    is_usual = (exponent >= LEAST_EXPONENT) & (exponent <= MOST_EXPONENT) & is_finite
+    is_usual, power, inverse = length_power(ray.direction, LEAST_EXPONENT, MOST_EXPONENT)
     t_scale, inverse = power * frame.inverse_scale, inverse * frame.scale
     t_min, t_max = widen(ray.t_min), widen(ray.t_max)
     # Adding zero turns -0 into 0: the bits of positive numbers are in the numbers' order.

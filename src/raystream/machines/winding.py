@@ -41,11 +41,11 @@ def winding_of(
     accuracy: float = 0.0,
 ) -> NDArray[np.float64]:
     """Winding numbers of points of shape (N, 3), world space; NaN for invalid ones."""
-    is_valid, local = _local(triangles, points)
+    is_valid = _are_valid(points)
     numbers = np.full(len(points), np.nan)
     most = min((accuracy * _CUBE) ** (1.0 / 3.0), _OPENINGS[0])
     openings = (most, 0.5 * most) if most >= _LEAST_OPENING else ()
-    numbers[is_valid] = _numbers(triangles, local, openings, accuracy, progress)
+    numbers[is_valid] = _numbers(triangles, points[is_valid], openings, accuracy, progress)
     return numbers
 
 
@@ -56,30 +56,28 @@ def inside_by_winding(
 
     Decided by the exact sum wherever the tree's bounds leave a doubt.
     """
-    is_valid, local = _local(triangles, points)
+    is_valid = _are_valid(points)
     inside = np.zeros(len(points), bool)
-    inside[is_valid] = np.abs(_numbers(triangles, local, _OPENINGS, None, progress)) > 0.5
+    numbers = _numbers(triangles, points[is_valid], _OPENINGS, None, progress)
+    inside[is_valid] = np.abs(numbers) > 0.5
     return inside
 
 
-def _local(
-    triangles: Triangles, points: NDArray[np.generic]
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """The valid points, in the local frame."""
+def _are_valid(points: NDArray[np.generic]) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore", over="ignore"):
-        is_valid = (np.abs(points) <= MOST_COORDINATE).all(axis=-1)
-    return is_valid, triangles.to_local(points[is_valid], np.float64)
+        valid: NDArray[np.bool_] = (np.abs(points) <= MOST_COORDINATE).all(axis=-1)
+    return valid
 
 
 def _numbers(
     triangles: Triangles,
-    local: NDArray[np.float64],
+    points: NDArray[np.generic],
     openings: tuple[float, ...],
     accuracy: float | None,
     progress: Progress | None,
 ) -> NDArray[np.float64]:
     """Winding numbers within `accuracy`, or if it is None, on the right side of 1/2 and -1/2."""
-    count = len(local)
+    local, count = triangles.to_local(points, np.float64), len(points)
     numbers = np.zeros(count)
     if len(triangles.prim_ids) < _LEAST_TRIANGLES or count < _LEAST_POINTS:
         openings = ()

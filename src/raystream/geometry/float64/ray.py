@@ -159,10 +159,8 @@ def usual_line(ray):
     half : float64
         See `Float64Ray`, where `rest` is 1.
     """
-    exponent, half, inverse = length_power(ray.direction)
+    is_usual, half, inverse = length_power(ray.direction, LEAST_EXPONENT, MOST_EXPONENT)
     # Written so that a NaN fails.
-    is_usual = (exponent >= LEAST_EXPONENT) & (exponent <= MOST_EXPONENT)
-    is_usual = is_usual & are_within(ray.direction, INF_F64)
     is_usual = is_usual & are_within(ray.origin, MOST_COORDINATE)
     is_usual = is_usual & (ray.t_min == ray.t_min) & (ray.t_max == ray.t_max)
     direction = without_least(scaled(ray.direction, half))

@@ -59,7 +59,8 @@ _Hits = view([(name, kind, SPHERES_PER_BLOCK) for name, kind in HIT])
 _HitLanes = view([(name, kind, (SPHERES_PER_BLOCK, 1)) for name, kind in HIT])
 _HITS_BYTES = 40 * SPHERES_PER_BLOCK
 
-_LARGEST_EXPONENT = np.int64(2046)
+#: Biased exponents of numbers that are not subnormal, whose reciprocal is not either.
+_LEAST_EXPONENT, _MOST_EXPONENT = np.int64(1), np.int64(2045)
 
 
 class ExactRay(NamedTuple):
@@ -91,8 +92,8 @@ class ExactRay(NamedTuple):
 @device
 def _unit_scaled(direction):
     """A direction whose largest component is in [1, 2); nothing useful of an invalid ray's."""
-    exponent, power, _ = length_power(direction)
-    if exponent > 0 and exponent < _LARGEST_EXPONENT:
+    is_usual, power, _ = length_power(direction, _LEAST_EXPONENT, _MOST_EXPONENT)
+    if is_usual:
         return scaled(direction, power)
     return scaled_slowly(direction)[2]
 
