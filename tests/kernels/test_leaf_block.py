@@ -69,7 +69,7 @@ def in_parts(blocks, count, max_coordinate, origins, directions, parts, surfaces
     room = np.uint64(len(out.t)) // np.uint64(len(counts))
     for i in range(np.uint64(len(counts))):
         o, d = origins[i], directions[i]
-        ray = block_ray(prepare_ray(o[0], o[1], o[2], d[0], d[1], d[2], max_coordinate))
+        ray = block_ray(prepare_ray(o, d, max_coordinate))
         inf = np.float32(np.inf)
         keeping = SearchGoal(room, to, i * room, surfaces)
         kept = begin_search(parts[0], inf, keeping, None, None, None)
@@ -92,7 +92,7 @@ def in_a_list(prim_ids, corners, max_coordinate, origins, directions, t_min, sur
     inf = np.float32(np.inf)
     for i in range(np.uint64(len(counts))):
         o, d = origins[i], directions[i]
-        ray = prepare_ray(o[0], o[1], o[2], d[0], d[1], d[2], max_coordinate)
+        ray = prepare_ray(o, d, max_coordinate)
         goal = SearchGoal(room, to, i * room, surfaces)
         search = begin_search(t_min, inf, goal, None, None, None)
         search = intersect_list(

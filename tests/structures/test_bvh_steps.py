@@ -103,9 +103,7 @@ def run_pass(
         top, t_min, t_far = states.top[i], rays.t_min[i], states.t_far[i]
         first, capacity = slots.first[i], slots.capacity[i]
         tally = tally_of(address(tallies), np.uint64(i))
-        line = block_ray(
-            prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
-        )
+        line = block_ray(prepare_ray(o[i], d[i], max_coordinate))
         if stage == _POP:
             found, child, top = next_entry(stack, half_bytes, top, t_far)
             states.top[i], states.child[i] = top, child
@@ -149,7 +147,7 @@ def fused(tree, max_coordinate, rays, surfaces, slots, out, counts, tallies):
     o, d = rays.origins, rays.directions
     stack = scratch(STACK_BYTES)
     for i in range(len(counts)):
-        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
+        ray = prepare_ray(o[i], d[i], max_coordinate)
         first, capacity = slots.first[i], slots.capacity[i]
         t_min, t_max, tally = rays.t_min[i], rays.t_max[i], tally_of(address(tallies), np.uint64(i))
         goal = SearchGoal(capacity, rows_of(out), first, surfaces)

@@ -42,7 +42,7 @@ def holders(graph, sector_count, max_coordinate, rays, t, rows, counts):
     """For each ray, a sector that contains it at t, and their number, by testing all sectors."""
     o, d = rays.origins, rays.directions
     for i in range(len(t)):
-        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
+        ray = prepare_ray(o[i], d[i], max_coordinate)
         line = sector_ray(ray)
         counts[i] = 0
         rows[i] = NOWHERE
@@ -59,7 +59,7 @@ def holders(graph, sector_count, max_coordinate, rays, t, rows, counts):
 def follow(graph, max_coordinate, rays, i, most, rows, ends):
     """Write the sectors of ray i, and where it leaves them; returns their number."""
     o, d = rays.origins, rays.directions
-    ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
+    ray = prepare_ray(o[i], d[i], max_coordinate)
     is_active, t_in, t_end = clip_to_scene(graph, ray, rays.t_min[i], rays.t_max[i])
     if not is_active:
         return 0
@@ -299,7 +299,7 @@ def begin_near(graph, max_coordinate, rays, last, rows):
     o, d = rays.origins, rays.directions
     for i in range(np.uint64(len(rows))):
         last[i, 0] = last[i, 1] = 0
-        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
+        ray = prepare_ray(o[i], d[i], max_coordinate)
         is_active, t_in, _ = clip_to_scene(graph, ray, rays.t_min[i], rays.t_max[i])
         rows[i] = NOWHERE
         if is_active:

@@ -86,7 +86,7 @@ def record_leaves(begin, end, tree, max_coordinate, rays, leaves, counts):
     stack = scratch(STACK_BYTES)
     o, d = rays.origins, rays.directions
     for i in range(np.uint64(begin), np.uint64(end)):
-        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
+        ray = prepare_ray(o[i], d[i], max_coordinate)
         is_active, state = initialize(tree, ray, rays.t_min[i], rays.t_max[i])
         if not is_active:
             continue

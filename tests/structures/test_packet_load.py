@@ -8,9 +8,9 @@ import pytest
 import raystream as rs
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
-from raystream.jit.simd import address, narrow, store
+from raystream.jit.simd import address, f32x16, narrow, store
 from raystream.kernels.ray_source import RaySource
-from raystream.structures.bvh.packets.load import load_origins
+from raystream.structures.bvh.packets.load import read_lanes
 from raystream.structures.bvh.packets.rays import GROUPS, PacketOrder, group_rows
 
 
@@ -21,8 +21,8 @@ def _load_the_first(source, order, out):
         _, count = group_rows(order, np.uint64(0), g)
         if count == np.uint64(0):
             continue
-        x, _, _ = load_origins(source, np.uint64(0))
-        store(address(out), narrow(x))
+        rays = read_lanes(source, np.uint64(0), f32x16, np.float32)
+        store(address(out), narrow(rays.origin[0]))
         total += count
     return total
 

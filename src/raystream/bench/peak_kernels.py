@@ -19,7 +19,7 @@ _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 @device
 def _prepared(source, i, frame):
     ray = load_ray(source, i, frame)
-    return ray, prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
+    return ray, prepare_ray(ray.origin, ray.direction, frame.max_coordinate)
 
 
 @kernel

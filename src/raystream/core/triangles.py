@@ -218,12 +218,12 @@ class Triangles(Store):
         """`corners`; of `InstancedTriangles`, those of all objects."""
         return self.corners
 
-    def to_local(self, points: NDArray[Any]) -> NDArray[np.float32]:
-        """Move world-space points of shape (..., 3) into the local frame."""
+    def to_local(self, points: NDArray[Any], number: Any = np.float32) -> NDArray[Any]:
+        """Move world-space points of shape (..., 3) into the local frame, as a type of number."""
         with np.errstate(invalid="ignore", over="ignore"):
             if self.scale == 1.0 and not self.center.any():
-                return np.array(points, np.float32)
-            return ((np.asarray(points, np.float64) - self.center) * self.scale).astype(np.float32)
+                return np.array(points, number)
+            return ((np.asarray(points, np.float64) - self.center) * self.scale).astype(number)
 
     def corners_at(
         self,

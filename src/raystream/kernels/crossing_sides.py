@@ -54,9 +54,7 @@ def net_exits(begin, end, source, frame, corners, splits, prim_ids, exits):
     """
     for i in range(np.uint64(begin), np.uint64(end)):
         local = load_ray(source, i, frame)
-        ray = prepare_ray(
-            local.ox, local.oy, local.oz, local.dx, local.dy, local.dz, frame.max_coordinate
-        )
+        ray = prepare_ray(local.origin, local.direction, frame.max_coordinate)
         total = 0
         for row in range(splits[i], splits[i + ONE_U64]):
             total += -1 if faces_ray(ray, corners, prim_ids[row]) else 1

@@ -69,12 +69,9 @@ def to_local_rays(begin, end, source, frame, rays, to_world, status):
     """
     for i in range(np.uint64(begin), np.uint64(end)):
         ray = load_ray(source, i, frame)
-        rays.origins[i, 0] = ray.ox
-        rays.origins[i, 1] = ray.oy
-        rays.origins[i, 2] = ray.oz
-        rays.directions[i, 0] = ray.dx
-        rays.directions[i, 1] = ray.dy
-        rays.directions[i, 2] = ray.dz
+        rays.origins[i, 0], rays.origins[i, 1], rays.origins[i, 2] = ray.origin
+        directions = rays.directions
+        directions[i, 0], directions[i, 1], directions[i, 2] = ray.direction
         rays.t_min[i] = ray.t_min
         rays.t_max[i] = ray.t_max
         to_world.scale[i] = ray.t_scale

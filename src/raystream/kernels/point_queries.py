@@ -27,7 +27,15 @@ from raystream.kernels.nearest import (
 )
 from raystream.kernels.point_order import PointOrder, begin_order, load_point, order_bytes, point_at
 from raystream.kernels.point_triangle import foot_of, triangle_features
-from raystream.kernels.ray import SceneFrame
+from raystream.kernels.ray import (
+    MOST_COORDINATE,
+    SceneFrame,
+    are_within,
+    largest,
+    scaled,
+    to_frame,
+)
+from raystream.kernels.ray_source import loader
 
 _FLOAT, _DOUBLE, _VECTOR = np.uint64(4), np.uint64(8), np.uint64(24)  # bytes
 _ROW_BYTES = np.uint64(ROW.itemsize)
@@ -35,9 +43,8 @@ _ANSWER_BYTES = 8 + 24 + 4 + 4 + 4  # of a row of the answers
 _STATE_BYTES = np.uint64(64)  # of an answer's memory, before the stack
 _MISS = np.int32(-1)
 
-#: Points with a larger coordinate are invalid: in world space, as for rays, and in the local
-#: frame, where squares of squares must stay finite in float64.
-_FARTHEST = 2.0**200
+#: Points with a larger coordinate in the local frame are invalid: squares of squares must stay
+#: finite in float64. In world space, the limit is that of rays.
 _FARTHEST_LOCAL = 2.0**240
 
 #: Points that are further from the origin than this many times the scene's largest coordinate are
@@ -215,28 +222,24 @@ def answer_bytes(count: int, capacity: int) -> int:
 
 
 @device
-def _local(points, i, frame):
-    """Point i in the local frame, and its status."""
-    x, y, z = load_point(points, i)
-    world = max(max(abs(x), abs(y)), abs(z))
-    is_number = abs(x) <= _FARTHEST and abs(y) <= _FARTHEST and abs(z) <= _FARTHEST
-    x = (x - frame.center[0]) * frame.scale
-    y = (y - frame.center[1]) * frame.scale
-    z = (z - frame.center[2]) * frame.scale
-    local = max(max(abs(x), abs(y)), abs(z))
-    is_valid = is_number and world <= _FARTHEST and local <= _FARTHEST_LOCAL
-    return (x, y, z), VALID if is_valid else INVALID
+def _to_local(point, frame):
+    """A point in the local frame, and its status."""
+    local = to_frame(point, frame)
+    is_valid = are_within(point, MOST_COORDINATE) and are_within(local, _FARTHEST_LOCAL)
+    return local, VALID if is_valid else INVALID
+
+
+#: ``_load_local(points, i, frame)``: point i, and its status.
+_load_local = loader(load_point, _to_local)
 
 
 @device
 def _moved(point, frame):
     """The point to search for, and whether it is another one; see `_NEAREST_FAR`."""
-    reach = max(max(abs(point[0]), abs(point[1])), abs(point[2]))
-    most = _NEAREST_FAR * np.float64(frame.max_coordinate)
+    reach, most = largest(point), _NEAREST_FAR * np.float64(frame.max_coordinate)
     if reach <= most:
         return point, False
-    share = most / reach
-    return (point[0] * share, point[1] * share, point[2] * share), True
+    return scaled(point, most / reach), True
 
 
 @device
@@ -249,7 +252,7 @@ def _length(p, q):
 def _read_point(scene, i):
     """Read point i of a `PointScene`; a `PointQuery`."""
     limit = load(np.float64, scene.limits + i * scene.limit_step)
-    point, status = _local(scene.points, i, scene.frame)
+    point, status = _load_local(scene.points, i, scene.frame)
     moved, is_moved = _moved(point, scene.frame)
     return PointQuery(point, moved, is_moved, limit, status)
 

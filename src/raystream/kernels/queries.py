@@ -128,7 +128,7 @@ def searches(traverse: Callable[..., Any]) -> RaySearches:
         frame = scene.frame
         ray = load_ray(scene.source, i, frame)
         note_status(scene.status, i, ray.status)
-        local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
+        local = prepare_ray(ray.origin, ray.direction, frame.max_coordinate)
         tally, filter_ = tally_of(scene.tallies, i), ray_filter(scene.filter, i, ray)
         search = begin_search(ray.t_min, ray.t_max, goal, tally, filter_, None)
         return traverse(scene.arrays, local, search, memory), ray

@@ -8,15 +8,26 @@ float32 suffices.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
+from raystream.core.rays import INVALID, VALID
 from raystream.core.triangles import Triangles
+from raystream.jit.constants import INF_F32, INF_F64, ONE_F32, ONE_F64, ZERO_F32, ZERO_F64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import bits_as_float, copy_sign, float_as_bits, next_float_up
+from raystream.jit.simd import (
+    absolute,
+    as_float32,
+    bits_as_float,
+    copy_sign,
+    float_as_bits,
+    maximum,
+    minimum,
+    next_float_up,
+    select,
+)
 
 # Biased float64 exponents of direction lengths that one product scales to [1, 2): all that
 # float32 has, and few more.
@@ -25,15 +36,13 @@ POWER_EXPONENT = np.int64(2046)
 LEAST_EXPONENT = np.int64(1023 - 149)
 MOST_EXPONENT = np.int64(1023 + 127)
 
-_VALID = np.uint8(RayStatus.VALID)
-_INVALID = np.uint8(RayStatus.INVALID)
-
 #: Origins are advanced if they are further outside the scene's box than this many times its largest
 #: coordinate: nearer ones lose at most three bits of float32 to the distance.
 FAR = 4.0
 
-#: Coordinates beyond this make a ray invalid: squares of them must stay finite in float64.
-_MAX_COORDINATE = 2.0**200
+#: Coordinates beyond this make a ray or a point invalid: squares of them must stay finite in
+#: float64.
+MOST_COORDINATE = 2.0**200
 
 #: Boxes are padded by this much of (largest scene coordinate + largest origin coordinate).
 #: Rounding moves a vertex in the ray's frame by at most about 12 units of 2**-24 of that
@@ -45,10 +54,8 @@ PAD = np.float32(2.0**-20)
 #: Over a length of 2**20 scene sizes such a ray moves by less than the padding.
 TINY_DIRECTION = np.float32(2.0**-40)
 
-_INF = np.float32(np.inf)
-_ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
 _LARGEST = np.float32(np.finfo(np.float32).max)
+_MOST_FINITE = np.float64(np.finfo(np.float64).max)
 
 #: Below this, reported distances may have lost bits; and their smallest step.
 _ROUNDED = np.float32(2.0**-125)
@@ -93,12 +100,28 @@ class SceneFrame(NamedTuple):
         return cls.of(triangles)._replace(center=(0.0, 0.0, 0.0), scale=1.0, inverse_scale=1.0)
 
 
-class LocalRay(NamedTuple):
-    """A ray in the local frame.
+class WorldRay(NamedTuple):
+    """A ray in world space, or in an object's space; or sixteen, as vectors.
 
     Attributes
     ----------
-    ox, oy, oz, dx, dy, dz : float32
+    origin, direction : triple of float64
+    t_min, t_max : float32, or float64 in searches in float64
+        Closed interval, in direction lengths.
+    """
+
+    origin: tuple[np.float64, np.float64, np.float64]
+    direction: tuple[np.float64, np.float64, np.float64]
+    t_min: np.floating[Any]
+    t_max: np.floating[Any]
+
+
+class LocalRay(NamedTuple):
+    """A ray in the local frame; or sixteen, as vectors.
+
+    Attributes
+    ----------
+    origin, direction : triple of float32
         The largest component of the direction is in [1, 2).
     t_min, t_max : float32
         Closed interval in local direction lengths; empty for a ray that cannot hit.
@@ -109,12 +132,8 @@ class LocalRay(NamedTuple):
         A `RayStatus`.
     """
 
-    ox: np.float32
-    oy: np.float32
-    oz: np.float32
-    dx: np.float32
-    dy: np.float32
-    dz: np.float32
+    origin: tuple[np.float32, np.float32, np.float32]
+    direction: tuple[np.float32, np.float32, np.float32]
     t_min: np.float32
     t_max: np.float32
     t_scale: np.float64
@@ -144,7 +163,7 @@ def _local_limit(t, t_scale, t_offset, toward):
     to float32, so a hit at exactly the limit may lie up to half a step beyond it.
     """
     no_inline()
-    if not (abs(t) < _INF):
+    if not (abs(t) < INF_F32):
         return t
     exact = np.float32((np.float64(t)) / t_scale)
     if t_offset == 0.0 and np.float64(exact) * t_scale == np.float64(t):
@@ -168,7 +187,7 @@ def _local_limit(t, t_scale, t_offset, toward):
 def local_limit(t, t_scale, t_offset):
     """A local distance beyond which all are reported as more than t."""
     if t >= _LARGEST:
-        return _INF
+        return INF_F32
     if abs(t) < _ROUNDED:  # many local distances are reported as the same one
         beyond = (np.float64(t) + _LEAST - t_offset) / t_scale
         return next_float_up(np.float32(beyond))
@@ -180,67 +199,153 @@ def local_limit(t, t_scale, t_offset):
 
 
 @device
-def _outside_by(o, low, high):
-    """Distance of a coordinate from the scene's box; negative inside."""
-    return max(np.float64(low) - o, o - np.float64(high))
+def largest(x):
+    """The largest magnitude of a triple of numbers or vectors; NaN may be passed over."""
+    return maximum(maximum(absolute(x[0]), absolute(x[1])), absolute(x[2]))
+
+
+@device
+def are_within(x, bound):
+    """Whether the magnitudes of a triple of numbers or vectors are at most `bound`: no NaN is."""
+    return (absolute(x[0]) <= bound) & (absolute(x[1]) <= bound) & (absolute(x[2]) <= bound)
+
+
+@device
+def scaled(x, factor):
+    """A triple of numbers or vectors times a factor."""
+    return x[0] * factor, x[1] * factor, x[2] * factor
+
+
+@device
+def to_frame(point, frame):
+    """A point of numbers or vectors, float64, from world space to a local frame."""
+    x, y, z = point
+    return scaled((x - frame.center[0], y - frame.center[1], z - frame.center[2]), frame.scale)
+
+
+@device
+def length_power(direction, least, most):
+    """Scaling by one product, of a direction of numbers or vectors.
+
+    Parameters
+    ----------
+    direction : triple
+    least, most : int64
+        Biased exponents.
+
+    Returns
+    -------
+    is_usual : bool or mask
+        Whether all are numbers, and the largest one's exponent is in between.
+    power, inverse : float64
+        Then, a power of two that scales it to [1, 2), and its reciprocal.
+    """
+    exponent = float_as_bits(largest(direction)) >> MANTISSA_BITS
+    is_usual = (exponent >= least) & (exponent <= most) & are_within(direction, INF_F64)
+    power = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS)
+    return is_usual, power, bits_as_float(exponent << MANTISSA_BITS)
 
 
 @device_call
+def scaled_slowly(direction):
+    """Two powers of two, and a direction times both, whose largest component is in [1, 2)."""
+    no_inline()
+    exponent = 1 - math.frexp(largest(direction))[1]
+    # Products with a power of two are exact; in two steps no factor overflows, even for the
+    # smallest directions. A component that underflows is below 2**-149 of the largest one.
+    half = math.ldexp(1.0, exponent // 2)
+    rest = math.ldexp(1.0, exponent - exponent // 2)
+    return half, rest, scaled(scaled(direction, half), rest)
+
+
+@device
+def _outside_axis(o, low, high):
+    return maximum(np.float64(low) - o, o - np.float64(high))
+
+
+@device
+def outside_by(origin, frame):
+    """Distance of an origin of numbers or vectors from the scene's box; negative inside."""
+    low, high = frame.low, frame.high
+    x = _outside_axis(origin[0], low[0], high[0])
+    y = _outside_axis(origin[1], low[1], high[1])
+    return maximum(maximum(x, y), _outside_axis(origin[2], low[2], high[2]))
+
+
+@device
 def _crossing(o, d, low, high, margin):
     """Interval (t_in, t_out) of a line between two planes that a margin moves apart."""
-    to_low = np.float64(low) - margin - o
-    to_high = np.float64(high) + margin - o
-    if d == 0.0:
-        return (np.inf, -np.inf) if to_low > 0.0 or to_high < 0.0 else (-np.inf, np.inf)
+    to_low = (np.float64(low) - margin) - o
+    to_high = (np.float64(high) + margin) - o
     t_low, t_high = to_low / d, to_high / d
-    return min(t_low, t_high), max(t_low, t_high)
+    # A line along the planes is between them everywhere, or nowhere.
+    is_along = d == ZERO_F64
+    is_beside = is_along & ((to_low > ZERO_F64) | (to_high < ZERO_F64))
+    t_in = select(is_along, -INF_F64, minimum(t_low, t_high))
+    t_out = select(is_along, INF_F64, maximum(t_low, t_high))
+    return select(is_beside, INF_F64, t_in), select(is_beside, -INF_F64, t_out)
+
+
+@device
+def box_entry(origin, direction, frame):
+    """Distance at which a line, or sixteen, enter the scene's box, padded by its size.
+
+    inf for a miss.
+    """
+    margin = np.float64(frame.max_coordinate)
+    low, high = frame.low, frame.high
+    in_x, out_x = _crossing(origin[0], direction[0], low[0], high[0], margin)
+    in_y, out_y = _crossing(origin[1], direction[1], low[1], high[1], margin)
+    in_z, out_z = _crossing(origin[2], direction[2], low[2], high[2], margin)
+    t_in = maximum(maximum(in_x, in_y), in_z)
+    t_out = minimum(minimum(out_x, out_y), out_z)
+    return select(t_in <= t_out, t_in, INF_F64)
+
+
+@device
+def advanced(origin, direction, step):
+    """An origin of numbers or vectors, moved along its direction."""
+    (x, y, z), (dx, dy, dz) = origin, direction
+    return x + step * dx, y + step * dy, z + step * dz
 
 
 @device_call
-def _entry(ox, oy, oz, dx, dy, dz, frame):
-    """Distance at which a line enters the scene's box, padded by its size; inf for a miss."""
+def _entry_of_one(origin, direction, frame):
     no_inline()
-    margin = np.float64(frame.max_coordinate)
-    low, high = frame.low, frame.high
-    in_x, out_x = _crossing(ox, dx, low[0], high[0], margin)
-    in_y, out_y = _crossing(oy, dy, low[1], high[1], margin)
-    in_z, out_z = _crossing(oz, dz, low[2], high[2], margin)
-    t_in = max(in_x, in_y, in_z)
-    return t_in if t_in <= min(out_x, out_y, out_z) else np.inf
+    return box_entry(origin, direction, frame)
 
 
 @device
-def _miss(status):
+def missing_ray(status):
     """A ray with an empty interval, safe to trace."""
-    return LocalRay(
-        _ZERO, _ZERO, _ZERO, _ONE, _ONE, _ONE, _INF, -_INF, np.float64(1.0), np.float64(0.0), status
-    )
+    origin, direction = (ZERO_F32, ZERO_F32, ZERO_F32), (ONE_F32, ONE_F32, ONE_F32)
+    return LocalRay(origin, direction, INF_F32, -INF_F32, ONE_F64, ZERO_F64, status)
 
 
 @device
-def _is_valid(ox, oy, oz, dx, dy, dz, t_min, t_max):
-    # Written so that a NaN fails.
-    if not (abs(ox) <= _MAX_COORDINATE and abs(oy) <= _MAX_COORDINATE):
-        return False
-    if not (abs(oz) <= _MAX_COORDINATE and abs(dx) < np.inf):
-        return False
-    if not (abs(dy) < np.inf and abs(dz) < np.inf):
+def is_valid(ray):
+    """Whether the numbers of a `WorldRay` are those of a ray: no NaN is."""
+    dx, dy, dz = ray.direction
+    if not (are_within(ray.origin, MOST_COORDINATE) and are_within(ray.direction, _MOST_FINITE)):
         return False
     if dx == 0.0 and dy == 0.0 and dz == 0.0:
         return False
-    return t_min == t_min and t_max == t_max
+    return ray.t_min == ray.t_min and ray.t_max == ray.t_max
+
+
+@device
+def rounded(x):
+    """A triple of numbers or vectors in float32."""
+    return as_float32(x[0]), as_float32(x[1]), as_float32(x[2])
 
 
 @device_call
-def to_local(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
+def to_local(ray, frame):
     """Transform a ray to the local frame.
 
     Parameters
     ----------
-    ox, oy, oz, dx, dy, dz : float64
-        World space.
-    t_min, t_max : float32
-        Closed interval, in direction lengths.
+    ray : WorldRay
     frame : SceneFrame
 
     Returns
@@ -249,69 +354,43 @@ def to_local(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
         A ray that is invalid or cannot reach the scene has an empty interval.
     """
     no_inline()
-    if not _is_valid(ox, oy, oz, dx, dy, dz, t_min, t_max):
-        return _miss(_INVALID)
+    if not is_valid(ray):
+        return missing_ray(INVALID)
 
     # Step 1: move by the centre; scale so that the largest component is in [1, 2).
-    # A component that underflows is below 2**-149 of the largest one.
-    ox = (ox - frame.center[0]) * frame.scale
-    oy = (oy - frame.center[1]) * frame.scale
-    oz = (oz - frame.center[2]) * frame.scale
-    length = max(abs(dx), abs(dy), abs(dz))
-    biased = float_as_bits(length) >> MANTISSA_BITS
-    if biased >= LEAST_EXPONENT and biased <= MOST_EXPONENT:
+    origin = to_frame(ray.origin, frame)
+    is_usual, power, _ = length_power(ray.direction, LEAST_EXPONENT, MOST_EXPONENT)
+    if is_usual:
         # One exact product, without functions that take as long as the rest.
-        power = bits_as_float((POWER_EXPONENT - biased) << MANTISSA_BITS)
-        dx *= power
-        dy *= power
-        dz *= power
-        t_scale = power * frame.inverse_scale
+        direction = scaled(ray.direction, power)
     else:
-        exponent = math.frexp(length)[1]
-        # Products with a power of two are exact; in two steps no factor overflows, even for the
-        # smallest directions.
-        half = math.ldexp(1.0, (1 - exponent) // 2)
-        rest = math.ldexp(1.0, (1 - exponent) - (1 - exponent) // 2)
-        dx = dx * half * rest
-        dy = dy * half * rest
-        dz = dz * half * rest
+        half, rest, direction = scaled_slowly(ray.direction)
         # Beyond 2**800 distances leave float32 anyway; the bound keeps t_scale finite.
-        t_scale = math.ldexp(1.0 / frame.scale, max(-800, min(1 - exponent, 800)))
+        power = min(max(half * rest, 2.0**-800), 2.0**800)
+    t_scale = power * frame.inverse_scale
 
     # Step 2: advance an origin that is far outside. A second step corrects the rounding error of
     # the first, which is 2**-53 of the distance.
     t_offset = 0.0
-    low, high = frame.low, frame.high
-    outside = max(
-        _outside_by(ox, low[0], high[0]),
-        _outside_by(oy, low[1], high[1]),
-        _outside_by(oz, low[2], high[2]),
-    )
-    if outside > FAR * np.float64(frame.max_coordinate):
+    if outside_by(origin, frame) > FAR * np.float64(frame.max_coordinate):
         total = 0.0
         for _ in range(2):
-            step = _entry(ox, oy, oz, dx, dy, dz, frame)
+            step = _entry_of_one(origin, direction, frame)
             if step == np.inf:
-                return _miss(_VALID)
-            ox += step * dx
-            oy += step * dy
-            oz += step * dz
+                return missing_ray(VALID)
+            origin = advanced(origin, direction, step)
             total += step
         t_offset = total * t_scale
 
     return LocalRay(
-        np.float32(ox),
-        np.float32(oy),
-        np.float32(oz),
-        np.float32(dx),
-        np.float32(dy),
-        np.float32(dz),
+        rounded(origin),
+        rounded(direction),
         # Adding zero turns -0 into 0: the bits of positive numbers are in the numbers' order.
-        _local_limit(t_min, t_scale, t_offset, -1) + _ZERO,
-        _local_limit(t_max, t_scale, t_offset, 1) + _ZERO,
+        _local_limit(ray.t_min, t_scale, t_offset, -1) + ZERO_F32,
+        _local_limit(ray.t_max, t_scale, t_offset, 1) + ZERO_F32,
         t_scale,
         t_offset,
-        _VALID,
+        VALID,
     )
 
 
@@ -367,18 +446,51 @@ def component(k, x, y, z):
 
 
 @device
-def _reciprocal(d, tiny):
+def _reciprocal(d, tiny, unit):
     # copysign, not a comparison: -0 counts as negative, like its neighbours.
-    return copy_sign(_ONE / max(abs(d), tiny), d)
+    return copy_sign(unit / maximum(absolute(d), tiny), d)
 
 
 @device
-def prepare_ray(ox, oy, oz, dx, dy, dz, max_coordinate):
+def slab_constants(origin, direction, tiny, pad, unit):
+    """What slab distances of a ray take, or of sixteen: numbers or vectors.
+
+    Padding moves near planes towards the origin and far planes away from it, so it has the
+    direction's sign.
+
+    Parameters
+    ----------
+    origin, direction : triple
+    tiny : number
+        Components of the direction are at least this large.
+    pad : number
+        How much boxes are padded, positive.
+    unit : number
+        The distance in which the others are measured, positive.
+
+    Returns
+    -------
+    inv, near, far : triple
+        Reciprocal direction; the distance to a near plane is fma(plane, inv, near), and to a far
+        one fma(plane, inv, far).
+    """
+    (ox, oy, oz), (dx, dy, dz) = origin, direction
+    inv_x = _reciprocal(dx, tiny, unit)
+    inv_y = _reciprocal(dy, tiny, unit)
+    inv_z = _reciprocal(dz, tiny, unit)
+    pad_x, pad_y, pad_z = copy_sign(pad, dx), copy_sign(pad, dy), copy_sign(pad, dz)
+    near = -((ox + pad_x) * inv_x), -((oy + pad_y) * inv_y), -((oz + pad_z) * inv_z)
+    far = -((ox - pad_x) * inv_x), -((oy - pad_y) * inv_y), -((oz - pad_z) * inv_z)
+    return (inv_x, inv_y, inv_z), near, far
+
+
+@device
+def prepare_ray(origin, direction, max_coordinate):
     """Prepare a ray.
 
     Parameters
     ----------
-    ox, oy, oz, dx, dy, dz : float32
+    origin, direction : three float32, by index
         Finite, local frame; the largest direction component is in [1, 2).
     max_coordinate : float32
         Largest absolute coordinate of the scene.
@@ -387,33 +499,28 @@ def prepare_ray(ox, oy, oz, dx, dy, dz, max_coordinate):
     -------
     Ray
     """
+    ox, oy, oz = origin[0], origin[1], origin[2]
+    dx, dy, dz = direction[0], direction[1], direction[2]
     # Step 1: the frame's z axis is the largest component; the first one wins a tie.
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     kz = np.uint64(0)
-    largest = ax
-    if ay > largest:
+    longest = ax
+    if ay > longest:
         kz = np.uint64(1)
-        largest = ay
-    if az > largest:
+        longest = ay
+    if az > longest:
         kz = np.uint64(2)
-        largest = az
+        longest = az
     kx = kz + np.uint64(1) if kz < np.uint64(2) else np.uint64(0)
     ky = kx + np.uint64(1) if kx < np.uint64(2) else np.uint64(0)
 
-    # Step 2: slab constants. Padding moves near planes towards the origin and far planes away
-    # from it, so it has the direction's sign.
-    tiny = largest * TINY_DIRECTION
-    reach = max(abs(ox), abs(oy), abs(oz))
-    pad = PAD * (max_coordinate + reach)
-    inv_x = _reciprocal(dx, tiny)
-    inv_y = _reciprocal(dy, tiny)
-    inv_z = _reciprocal(dz, tiny)
-    pad_x = copy_sign(pad, dx)
-    pad_y = copy_sign(pad, dy)
-    pad_z = copy_sign(pad, dz)
+    # Step 2: slab constants, with boxes padded for the rounding of the triangle test.
+    pad = PAD * (max_coordinate + largest((ox, oy, oz)))
+    tiny = longest * TINY_DIRECTION
+    inv, near, far = slab_constants((ox, oy, oz), (dx, dy, dz), tiny, pad, ONE_F32)
 
     # Step 3: the shear. kz is not tiny, so its reciprocal is exact to one rounding.
-    sz = component(kz, inv_x, inv_y, inv_z)
+    sz = component(kz, *inv)
     return Ray(
         kx,
         ky,
@@ -427,13 +534,7 @@ def prepare_ray(ox, oy, oz, dx, dy, dz, max_coordinate):
         component(kx, dx, dy, dz) * sz,
         component(ky, dx, dy, dz) * sz,
         sz,
-        inv_x,
-        inv_y,
-        inv_z,
-        -((ox + pad_x) * inv_x),
-        -((oy + pad_y) * inv_y),
-        -((oz + pad_z) * inv_z),
-        -((ox - pad_x) * inv_x),
-        -((oy - pad_y) * inv_y),
-        -((oz - pad_z) * inv_z),
+        *inv,
+        *near,
+        *far,
     )

@@ -7,30 +7,39 @@ extreme lengths, limits that float32 cannot represent, invalid numbers) call it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import DEFAULT_LIMITS, VALID
-from raystream.jit.constants import ZERO_F32
+from raystream.jit.constants import (
+    BYTES_32,
+    BYTES_64,
+    ONE_U64,
+    TWO_U64,
+    ZERO_F32,
+    ZERO_F64,
+    ZERO_U64,
+)
 from raystream.jit.cpu import device
-from raystream.jit.simd import bits_as_float, float_as_bits, load
+from raystream.jit.simd import as_float32, load, widen
 from raystream.kernels.adjacent_rows import adjacent_rows
 from raystream.kernels.aligned import array_address
 from raystream.kernels.ray import (
     FAR,
     LEAST_EXPONENT,
-    MANTISSA_BITS,
     MOST_EXPONENT,
-    POWER_EXPONENT,
     LocalRay,
+    WorldRay,
+    are_within,
+    length_power,
+    rounded,
+    scaled,
+    to_frame,
     to_local,
 )
-
-_Y = np.uint64(4)
-_Z = np.uint64(8)
 
 #: `to_local` does not advance origins whose local coordinates are within this many times the
 #: scene's largest, however it rounds.
@@ -149,13 +158,13 @@ def _three(at, are_double):
     if are_double:
         return (
             load(np.float64, at),
-            load(np.float64, at + np.uint64(8)),
-            load(np.float64, at + np.uint64(16)),
+            load(np.float64, at + BYTES_64),
+            load(np.float64, at + (BYTES_64 + BYTES_64)),
         )
     return (
         np.float64(load(np.float32, at)),
-        np.float64(load(np.float32, at + _Y)),
-        np.float64(load(np.float32, at + _Z)),
+        np.float64(load(np.float32, at + BYTES_32)),
+        np.float64(load(np.float32, at + (BYTES_32 + BYTES_32))),
     )
 
 
@@ -172,67 +181,132 @@ def load_direction(source, i):
 
 
 @device
-def load_limits(source, i):
-    """t_min and t_max of ray i, float32."""
-    t_min = load(np.float32, source.t_min + i * source.t_min_step)
-    return t_min, load(np.float32, source.t_max + i * source.t_max_step)
+def _read_ray(source, i, number):
+    t_min = load(number, source.t_min + i * source.t_min_step)
+    t_max = load(number, source.t_max + i * source.t_max_step)
+    return WorldRay(load_origin(source, i), load_direction(source, i), t_min, t_max)
 
 
 @device
-def load_ray(source, i, frame):
-    """Ray i in the local frame.
+def read_ray(source, i):
+    """Ray i in world space: a `WorldRay`."""
+    return _read_ray(source, i, np.float32)
+
+
+@device
+def read_float64_ray(source, i):
+    """Ray i of a source with limits in float64."""
+    return _read_ray(source, i, np.float64)
+
+
+def loader(read: Callable[..., Any], move: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the loader of a ray or a point into the frame in which it is searched.
 
     Parameters
     ----------
-    source : RaySource
-    i : uint64
+    read : device function
+        ``read(source, i)``: it in world space.
+    move : device function
+        ``move(ray, *frame)``: it in the frame.
+
+    Returns
+    -------
+    device function
+        ``load(source, i, *frame)``
+    """
+
+    @device
+    def load_one(source, i, *frame):
+        return move(read(source, i), *frame)
+
+    return load_one
+
+
+@device
+def in_object(ray, instance):
+    """A `WorldRay`, or sixteen, in the space of an instance's object; see `InstanceRecord`."""
+    linear, shift = instance.linear, instance.shift
+    x_row, y_row, z_row = linear[ZERO_U64], linear[ONE_U64], linear[TWO_U64]
+    x, y, z = _product(x_row, ray.origin), _product(y_row, ray.origin), _product(z_row, ray.origin)
+    direction = ray.direction
+    return WorldRay(
+        (x + shift[0], y + shift[1], z + shift[2]),
+        (_product(x_row, direction), _product(y_row, direction), _product(z_row, direction)),
+        ray.t_min,
+        ray.t_max,
+    )
+
+
+@device
+def _product(row, x):
+    return x[0] * row[0] + x[1] * row[1] + x[2] * row[2]
+
+
+@device
+def scale_ray(ray, frame):
+    """Lengths of a `WorldRay`, or of sixteen, in a local frame.
+
+    Returns
+    -------
+    is_usual : bool or mask
+        Whether one power of two scales the direction.
+    power : float64
+        Of two: it scales the largest component of the direction to [1, 2).
+    t_scale : float64
+    low, high : float32
+        The limits.
+    is_exact : two bool or masks
+        Whether these are exact.
+    """
+    is_usual, power, inverse = length_power(ray.direction, LEAST_EXPONENT, MOST_EXPONENT)
+    t_scale, inverse = power * frame.inverse_scale, inverse * frame.scale
+    t_min, t_max = widen(ray.t_min), widen(ray.t_max)
+    # Adding zero turns -0 into 0: the bits of positive numbers are in the numbers' order.
+    low, high = as_float32(t_min * inverse) + ZERO_F32, as_float32(t_max * inverse) + ZERO_F32
+    is_exact = widen(low) * t_scale == t_min, widen(high) * t_scale == t_max
+    return is_usual, power, t_scale, low, high, is_exact
+
+
+@device
+def near_ray(ray, frame):
+    """A ray, or sixteen, in the local frame, if `to_local` gives the same.
+
+    Returns
+    -------
+    is_so : bool or mask
+    local : LocalRay
+    """
+    is_usual, power, t_scale, low, high, is_exact = scale_ray(ray, frame)
+    origin = rounded(to_frame(ray.origin, frame))
+    is_near = are_within(origin, NEAR_REACH * frame.max_coordinate)
+    direction = rounded(scaled(ray.direction, power))
+    local = LocalRay(origin, direction, low, high, t_scale, ZERO_F64, VALID)
+    return is_usual & is_near & is_exact[0] & is_exact[1], local
+
+
+@device
+def local_ray(ray, frame, instance=None):
+    """A ray in the local frame of a scene or of an instance's object.
+
+    Parameters
+    ----------
+    ray : WorldRay
     frame : SceneFrame
+    instance : InstanceRecord, optional
+        Without it, the frame is of the space that the ray is in.
 
     Returns
     -------
     LocalRay
+        The result of `kernels.ray.to_local`, mostly without the call.
     """
-    wx, wy, wz = load_origin(source, i)
-    dx, dy, dz = load_direction(source, i)
-    t_min, t_max = load_limits(source, i)
-    return local_ray(wx, wy, wz, dx, dy, dz, t_min, t_max, frame)
+    if instance is not None:
+        ray = in_object(ray, instance)
+    is_so, local = near_ray(ray, frame)
+    if is_so:
+        return local
+    return to_local(ray, frame)
 
 
-@device
-def local_ray(wx, wy, wz, dx, dy, dz, t_min, t_max, frame):
-    """A ray in the local frame: the result of `kernels.ray.to_local`, mostly without the call."""
-    ox = np.float32((wx - frame.center[0]) * frame.scale)
-    oy = np.float32((wy - frame.center[1]) * frame.scale)
-    oz = np.float32((wz - frame.center[2]) * frame.scale)
-    reach = NEAR_REACH * frame.max_coordinate
-    exponent = float_as_bits(max(abs(dx), abs(dy), abs(dz))) >> MANTISSA_BITS
-    if (
-        exponent >= LEAST_EXPONENT
-        and exponent <= MOST_EXPONENT
-        and abs(dx) + abs(dy) + abs(dz) < np.inf
-        and abs(ox) <= reach
-        and abs(oy) <= reach
-        and abs(oz) <= reach
-    ):
-        # 2**(1023 - exponent) scales the largest component to [1, 2).
-        power = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS)
-        t_scale = power * frame.inverse_scale
-        inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
-        # Adding zero turns -0 into 0: the bits of positive numbers are in the numbers' order.
-        low = np.float32(np.float64(t_min) * inverse) + ZERO_F32
-        high = np.float32(np.float64(t_max) * inverse) + ZERO_F32
-        if np.float64(low) * t_scale == t_min and np.float64(high) * t_scale == t_max:
-            return LocalRay(
-                ox,
-                oy,
-                oz,
-                np.float32(dx * power),
-                np.float32(dy * power),
-                np.float32(dz * power),
-                low,
-                high,
-                t_scale,
-                np.float64(0.0),
-                VALID,
-            )
-    return to_local(wx, wy, wz, dx, dy, dz, t_min, t_max, frame)
+#: ``load_ray(source, i, frame, instance=None)``: ray i of a `RaySource`, see `local_ray`.
+load_ray = loader(read_ray, local_ray)

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from raystream.jit.constants import INF_F32, ONE_U64, ZERO_F32
 from raystream.jit.cpu import device
 from raystream.kernels.hits import HitAddresses
-from raystream.kernels.ray import to_local, world_t
+from raystream.kernels.ray import WorldRay, world_t
+from raystream.kernels.ray_source import local_ray
 from raystream.kernels.search import get_hit, put_hit
 from raystream.machines.records import DONE, NO_ROOM, RayState
 from raystream.machines.steps.base import StepKernel, Steps
@@ -106,15 +107,12 @@ def _start(new, ray, wanted, span, frame, hits):
     if not new.is_active:
         ray, wanted, span = _unchanged(ray, wanted, span)
         return ray, wanted, span, DONE
-    x, y, z = new.origin
     dx, dy, dz = new.direction
-    local = to_local(
-        x, y, z, np.float64(dx), np.float64(dy), np.float64(dz), ZERO_F32, new.t_max, frame
-    )
+    direction = np.float64(dx), np.float64(dy), np.float64(dz)
+    local = local_ray(WorldRay(new.origin, direction, ZERO_F32, new.t_max), frame)
     put_hit(hits, new.row, INF_F32, ZERO_F32, ZERO_F32, _MISS)
-    origin, direction = (local.ox, local.oy, local.oz), (local.dx, local.dy, local.dz)
     return (
-        (origin, direction, local.t_min, local.t_max),
+        (local.origin, local.direction, local.t_min, local.t_max),
         (new.row, ONE_U64, wanted.number),
         (local.t_scale, local.t_offset),
         _STARTING,

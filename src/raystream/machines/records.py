@@ -113,8 +113,7 @@ class StepArguments(NamedTuple):
 @device
 def prepared_ray(ray, query):
     """Set up a `RAY` for box and triangle tests: in each pass, since that is not kept."""
-    o, d = ray.origin, ray.direction
-    return prepare_ray(o[0], o[1], o[2], d[0], d[1], d[2], query.max_coordinate)
+    return prepare_ray(ray.origin, ray.direction, query.max_coordinate)
 
 
 @device

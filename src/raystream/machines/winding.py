@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.point_order import order_bytes
+from raystream.kernels.ray import MOST_COORDINATE
 from raystream.kernels.winding import LANES, winding_numbers
 from raystream.kernels.winding_tree import tree_winding_numbers, winding_tree_of
 from raystream.machines.batch import DecidingKernel, run_in_turn
@@ -39,9 +40,6 @@ _OPENINGS = (0.5, 0.2, 0.05)
 #: this much of that; the least is one that is worthwhile.
 _CUBE, _LEAST_OPENING = 0.7, 0.008
 
-#: Coordinates beyond this are invalid, as those of rays.
-_FARTHEST = 2.0**200
-
 
 def winding_of(
     triangles: Triangles,
@@ -50,11 +48,11 @@ def winding_of(
     accuracy: float = 0.0,
 ) -> NDArray[np.float64]:
     """Winding numbers of points of shape (N, 3), world space; NaN for invalid ones."""
-    is_valid, local = _local(triangles, points)
+    is_valid = _are_valid(points)
     numbers = np.full(len(points), np.nan)
     most = min((accuracy * _CUBE) ** (1.0 / 3.0), _OPENINGS[0])
     openings = (most, 0.5 * most) if most >= _LEAST_OPENING else ()
-    numbers[is_valid] = _numbers(triangles, local, openings, accuracy, progress)
+    numbers[is_valid] = _numbers(triangles, points[is_valid], openings, accuracy, progress)
     return numbers
 
 
@@ -65,30 +63,28 @@ def inside_by_winding(
 
     Decided by the exact sum wherever the tree's bounds leave a doubt.
     """
-    is_valid, local = _local(triangles, points)
+    is_valid = _are_valid(points)
     inside = np.zeros(len(points), bool)
-    inside[is_valid] = np.abs(_numbers(triangles, local, _OPENINGS, None, progress)) > 0.5
+    numbers = _numbers(triangles, points[is_valid], _OPENINGS, None, progress)
+    inside[is_valid] = np.abs(numbers) > 0.5
     return inside
 
 
-def _local(
-    triangles: Triangles, points: NDArray[np.generic]
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """The valid points, in the local frame."""
+def _are_valid(points: NDArray[np.generic]) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore", over="ignore"):
-        is_valid = (np.abs(points) <= _FARTHEST).all(axis=-1)
-        local = (np.asarray(points[is_valid], np.float64) - triangles.center) * triangles.scale
-    return is_valid, local
+        valid: NDArray[np.bool_] = (np.abs(points) <= MOST_COORDINATE).all(axis=-1)
+    return valid
 
 
 def _numbers(
     triangles: Triangles,
-    local: NDArray[np.float64],
+    points: NDArray[np.generic],
     openings: tuple[float, ...],
     accuracy: float | None,
     progress: Progress | None,
 ) -> NDArray[np.float64]:
     """Winding numbers within `accuracy`, or if it is None, on the right side of 1/2 and -1/2."""
+    local = triangles.to_local(points, np.float64)
     numbers = np.zeros(len(local))
     if len(triangles.prim_ids) < _LEAST_TRIANGLES:
         openings = ()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 from raystream.kernels.crossing_sides import faces_ray
-from raystream.kernels.ray import PAD, prepare_ray
+from raystream.kernels.ray import PAD, largest, prepare_ray
 from raystream.kernels.ray_source import load_ray
 
 #: In place of a row: the crossing is outside the ray's interval.
@@ -159,9 +159,7 @@ def classify_crossings(begin, end, source, frame, corners, mesh_splits, is_flipp
         if first == last:
             continue
         local = load_ray(source, i, frame)
-        ray = prepare_ray(
-            local.ox, local.oy, local.oz, local.dx, local.dy, local.dz, frame.max_coordinate
-        )
+        ray = prepare_ray(local.origin, local.direction, frame.max_coordinate)
         for row in range(first, last):
             mesh_id = _mesh_of(crossings.prim_id[row], mesh_splits)
             crossings.mesh_id[row] = mesh_id
@@ -186,7 +184,7 @@ def classify_crossing(row, local, ray, frame, corners, is_flipped, crossings):
     crossings : Crossings
     """
     # The triangle test may shift a ray sideways by this much, see `PAD`.
-    reach = max(abs(local.ox), abs(local.oy), abs(local.oz))
+    reach = largest(local.origin)
     aside = np.float64(PAD) * np.float64(frame.max_coordinate + reach) * local.t_scale
     prim_id = crossings.prim_id[row]
     enters = faces_ray(ray, corners, prim_id) != is_flipped
@@ -218,8 +216,8 @@ def _cosine(ray, corners, i):
     nx = py * qz - pz * qy
     ny = pz * qx - px * qz
     nz = px * qy - py * qx
-    largest = max(abs(nx), abs(ny), abs(nz))  # squares of small numbers would underflow
-    nx, ny, nz = nx / largest, ny / largest, nz / largest
+    longest = max(abs(nx), abs(ny), abs(nz))  # squares of small numbers would underflow
+    nx, ny, nz = nx / longest, ny / longest, nz / longest
     dx, dy, dz = np.float64(ray.dx), np.float64(ray.dy), np.float64(ray.dz)
     along = abs(nx * dx + ny * dy + nz * dz)
     return along / math.sqrt((nx * nx + ny * ny + nz * nz) * (dx * dx + dy * dy + dz * dz))

@@ -18,10 +18,9 @@ from raystream.geometry.instances.records import (
     object_records,
 )
 from raystream.geometry.instances.structure import InstancedStructure
-from raystream.geometry.instances.traversal import WorldRay, object_ray
 from raystream.jit.cpu import kernel
 from raystream.kernels.ray import prepare_ray
-from raystream.kernels.ray_source import load_direction, load_limits, load_origin
+from raystream.kernels.ray_source import load_ray
 from raystream.kernels.solids import Solids, solids_of
 from raystream.physics.pairing import classify_crossing
 
@@ -153,16 +152,10 @@ def classify_placed_crossings(begin, end, source, records, hits, corners, is_fli
         first, last = crossings.splits[i], crossings.splits[i + np.uint64(1)]
         if first == last:
             continue
-        ox, oy, oz = load_origin(source, i)
-        dx, dy, dz = load_direction(source, i)
-        t_min, t_max = load_limits(source, i)
-        world = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, True)
         for row in range(first, last):
             instance = InstanceRecord(records.instances, np.uint64(instance_id[row]))
             object_ = ObjectRecord(records.objects, np.uint64(instance.object_id))
-            local = object_ray(instance, world, object_)
-            ray = prepare_ray(
-                local.ox, local.oy, local.oz, local.dx, local.dy, local.dz, object_.max_coordinate
-            )
+            local = load_ray(source, i, object_, instance)
+            ray = prepare_ray(local.origin, local.direction, object_.max_coordinate)
             is_inward = is_flipped[mesh_id[row]]
             classify_crossing(row, local, ray, object_, corners, is_inward, crossings)

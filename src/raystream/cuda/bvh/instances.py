@@ -17,12 +17,12 @@ from raystream.cuda.bvh.triangles import search_triangles
 from raystream.cuda.bvh.walk import DONE, ENTRY, NEXT, ROOT, ray_traversal
 from raystream.geometry.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
 from raystream.geometry.instances.structure import InstancedBvh
-from raystream.geometry.instances.traversal import WorldRay, object_ray
 from raystream.jit.constants import NULL, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import store
 from raystream.jit.views import view
 from raystream.kernels.ray import Ray, prepare_ray
+from raystream.kernels.ray_source import local_ray
 from raystream.kernels.search import enter_instance, is_full
 from raystream.structures.bvh.layout import CHILDREN_AT, WIDTH
 
@@ -33,7 +33,7 @@ _LEAF_SHIFT = np.int32(3)
 _NO_ID = np.int32(0)
 
 _LIMITS = [("t_min", "f4"), ("t_max", "f4")]
-_WORLD = np.dtype([*((name, "f8") for name in WorldRay._fields[:6]), *_LIMITS])
+_WORLD = np.dtype([("origin", "f8", 3), ("direction", "f8", 3), *_LIMITS])
 
 #: A ray while it is inside an instance: the tree and the ray outside, and there the interval and
 #: distances of its search, by the names of a `LocalRay`; and the ray in the world.
@@ -90,12 +90,11 @@ def _at_leaf(place, ray, search, link, stack, top):
     else:
         instance = InstanceRecord(place.leaves, np.uint64(np.int32(~link) >> _LEAF_SHIFT))
         object_ = ObjectRecord(outside.objects, np.uint64(instance.object_id))
-        one = object_ray(instance, outside.world, object_)
+        one = local_ray(outside.world, object_, instance)
         inner = enter_instance(search, one, instance.first_id)
         if inner.t_min <= inner.t_far and object_.nodes != NULL:
             store(top, _LEAVE)
-            reach = object_.max_coordinate
-            ray = prepare_ray(one.ox, one.oy, one.oz, one.dx, one.dy, one.dz, reach)
+            ray = prepare_ray(one.origin, one.direction, object_.max_coordinate)
             place = _Place(object_.nodes, object_.leaves, True, place.outside)
             return place, ray, inner, ROOT, top + ENTRY
     return place, ray, search, NEXT, top
@@ -110,8 +109,7 @@ def traverse(scene, ray, search, stack):
     top, whole, outside = scene.top, scene.ray, _Outside(stack)
     outside.objects = top.objects
     world = outside.world
-    world.ox, world.oy, world.oz = whole.ox, whole.oy, whole.oz
-    world.dx, world.dy, world.dz = whole.dx, whole.dy, whole.dz
+    world.origin, world.direction = whole.origin, whole.direction
     world.t_min, world.t_max = whole.t_min, whole.t_max
     outside.t_scale, outside.t_offset = search.instance.t_scale, search.instance.t_offset
     outside.axes, outside.numbers = ray[:3], ray[3:]

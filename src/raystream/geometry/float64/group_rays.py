@@ -13,35 +13,22 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.rays import VALID
-from raystream.geometry.float64.ray import (
-    LEAST_EXPONENT,
-    MOST_COORDINATE,
-    MOST_EXPONENT,
-    Line,
-    largest,
-    local_origin,
-    make_line,
-    without_least,
-)
+from raystream.geometry.float64.ray import Line, make_line, usual_line
 from raystream.geometry.float64.search import NO_PRIM, Nearest
-from raystream.jit.constants import INF_F32, INF_F64, ONE_U64, ZERO_F64, ZERO_U64
+from raystream.jit.constants import INF_F32, INF_F64, ONE_F64, ZERO_F64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import (
-    absolute,
-    all_lanes,
-    bits_as_float,
-    f64x16,
-    float_as_bits,
-    i32x16,
-    i64x16,
-    load,
-)
+from raystream.jit.simd import f64x16, i32x16, i64x16
 from raystream.jit.views import view
-from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT, SceneFrame
-from raystream.kernels.ray_source import RaySource, load_direction, load_origin
-from raystream.structures.bvh.packets.load import load_directions, load_origins
-from raystream.structures.bvh.packets.rays import PacketOrder
+from raystream.kernels.ray import SceneFrame, largest, to_frame
+from raystream.kernels.ray_source import RaySource, read_float64_ray
+from raystream.structures.bvh.packets.load import lanes_loader, read_lanes
+from raystream.structures.bvh.packets.rays import (
+    PacketOrder,
+    put_three,
+    put_three_of_lane,
+    three_of_lane,
+)
 
 _NUMBERS = (
     ("t_min", "f8"),
@@ -84,21 +71,14 @@ _FAR = 2.0**20
 
 
 _LANES = np.uint64(16)
-_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
-_UNIT = np.float64(1.0)
 _NO_TRIANGLE = np.int64(0)
 
 
 @device
 def exact_ray(lanes, k):
     """A ray as triangles are tested with."""
-    origin, direction = lanes.origin, lanes.direction
-    return Line(
-        (origin[_X, k], origin[_Y, k], origin[_Z, k]),
-        (direction[_X, k], direction[_Y, k], direction[_Z, k]),
-        lanes.t_min[k],
-        lanes.t_max[k],
-    )
+    origin, direction = three_of_lane(lanes.origin, k), three_of_lane(lanes.direction, k)
+    return Line(origin, direction, lanes.t_min[k], lanes.t_max[k])
 
 
 @device
@@ -128,75 +108,48 @@ class Float64Packets(NamedTuple):
     exact: RaySource
 
 
+@device
+def _is_near(line, frame):
+    return largest(to_frame(line.origin, frame)) <= _FAR * np.float64(frame.max_coordinate)
+
+
+@device
+def _read(source, first):
+    return read_lanes(source.exact, first, f64x16, np.float64)
+
+
+@device
+def _move(ray, source):
+    is_so, line, half = usual_line(ray)
+    return is_so & _is_near(line, source.frame), (line, half)
+
+
+@device
+def _put(at, moved, is_so):
+    group, (line, half) = Float64Group(at), moved
+    put_three(group.origin, line.origin)
+    put_three(group.direction, line.direction)
+    group.t_min, group.t_max, group.far = line.t_min, line.t_max, line.t_max
+    group.half, group.rest, group.is_alone = half, f64x16(ONE_F64), i32x16(np.int32(0))
+
+
 @device_call
-def _load_one(lanes, k, source, i):
+def _load_one(at, k, source, i, is_traced):
     """Load ray i as lane k."""
     no_inline()
-    rays, frame = source.exact, source.frame
-    t_min = load(np.float64, rays.t_min + i * rays.t_min_step)
-    t_max = load(np.float64, rays.t_max + i * rays.t_max_step)
-    line, half, rest, status = make_line(
-        load_origin(rays, i), load_direction(rays, i), t_min, t_max
-    )
-    origin, direction = lanes.origin, lanes.direction
-    origin[_X, k], origin[_Y, k], origin[_Z, k] = line.origin
-    direction[_X, k], direction[_Y, k], direction[_Z, k] = line.direction
+    lanes = Float64Lanes(at)
+    line, half, rest, status = make_line(read_float64_ray(source.exact, i))
+    put_three_of_lane(lanes.origin, k, line.origin)
+    put_three_of_lane(lanes.direction, k, line.direction)
     lanes.t_min[k], lanes.t_max[k], lanes.far[k] = line.t_min, line.t_max, line.t_max
     lanes.half[k], lanes.rest[k], lanes.is_alone[k] = half, rest, np.int32(0)
-    reach, most = largest(local_origin(line.origin, frame)), np.float64(frame.max_coordinate)
-    if status != VALID or not reach <= _FAR * most:
+    if status != VALID or not _is_near(line, source.frame):
         lanes.is_alone[k], lanes.far[k] = np.int32(1), -INF_F64
+    if not is_traced:
+        lanes.far[k] = -INF_F64
 
 
-@device
-def _limits(at, step, first):
-    if step != ZERO_U64:
-        return load(f64x16, at + first * step)
-    return f64x16(load(np.float64, at))
-
-
-@device
-def _sum(x):
-    return absolute(x[0]) + absolute(x[1]) + absolute(x[2])
-
-
-@device
-def put_triple(rows, x):
-    """Write three vectors to a field with one per axis."""
-    rows[_X], rows[_Y], rows[_Z] = x
-
-
-@device
-def _load_all(group, source, first):
-    """Load 16 rays; returns False if one of them is unusual."""
-    rays, frame = source.exact, source.frame
-    given, direction = load_origins(rays, first), load_directions(rays, first)
-    t_min = _limits(rays.t_min, rays.t_min_step, first)
-    t_max = _limits(rays.t_max, rays.t_max_step, first)
-    # Step 1: whether one product scales each direction, and all numbers are valid: a NaN fails.
-    exponent = float_as_bits(largest(direction)) >> MANTISSA_BITS
-    origin = without_least(given)
-    is_usual = (
-        (exponent >= LEAST_EXPONENT)
-        & (exponent <= MOST_EXPONENT)
-        & (_sum(direction) < INF_F64)
-        & (_sum(given) <= MOST_COORDINATE)
-        & (largest(local_origin(origin, frame)) <= _FAR * np.float64(frame.max_coordinate))
-        & (t_min == t_min)
-        & (t_max == t_max)
-    )
-    if not all_lanes(is_usual):
-        return False
-    # Step 2: as `ray.make_line`.
-    half = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
-    inverse = bits_as_float(exponent << MANTISSA_BITS)
-    dx, dy, dz = direction
-    put_triple(group.origin, origin)
-    put_triple(group.direction, without_least((dx * half, dy * half, dz * half)))
-    t_max = t_max * inverse
-    group.t_min, group.t_max, group.far = t_min * inverse, t_max, t_max
-    group.half, group.rest, group.is_alone = half, f64x16(_UNIT), i32x16(np.int32(0))
-    return True
+_load_lanes = lanes_loader(_read, _move, _put, _load_one)
 
 
 @device
@@ -216,11 +169,7 @@ def load_rays(at, source, first, count, is_slow, local):
         The group that it loaded. Lanes that are not traced here become inactive.
     """
     group, lanes = Float64Group(at), Float64Lanes(at)
-    if count != _LANES or not _load_all(group, source, first):
-        for k in range(_LANES):
-            _load_one(lanes, k, source, first + min(k, count - ONE_U64))
-            if k >= count:
-                lanes.far[k] = -INF_F64
+    _load_lanes(at, source, first, count)
     group.low, group.high = f64x16(INF_F64), f64x16(INF_F64)
     group.triangle, group.prim_id = i64x16(_NO_TRIANGLE), i32x16(NO_PRIM)
     group.scale = f64x16(np.float64(source.frame.scale))

@@ -17,7 +17,6 @@ from raystream.geometry.float64.group_rays import (
     Float64Lanes,
     exact_ray,
     load_rays,
-    put_triple,
 )
 from raystream.geometry.float64.group_results import rays_alone, store_counts, store_nearest
 from raystream.geometry.float64.leaf import (
@@ -59,7 +58,9 @@ from raystream.structures.bvh.packets.rays import (
     PACKET_RAYS,
     GroupLanes,
     group_rows,
+    put_three,
     three,
+    three_of_lane,
 )
 
 #: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
@@ -78,16 +79,10 @@ _STATE_BYTES = int(_RAYS_AT) + int(GROUP_BYTES) * PACKET_RAYS // 16
 
 _LIMITS_AT = np.uint64(GROUP.fields["t_active"][1])  # type: ignore[index]
 _BLOCK_LANES = np.uint64(4)
-_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _UNIT = np.float64(1.0)
 
 
 # Leaves
-
-
-@device
-def _of_lane(rows, lane):
-    return rows[_X, lane], rows[_Y, lane], rows[_Z, lane]
 
 
 @device
@@ -98,8 +93,9 @@ def _test_triangles(leaf, packet, g, bits, block, edges):
         prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
         if prim_id < np.int32(0):
             break
-        p, q, n = _of_lane(edges.p, lane), _of_lane(edges.q, lane), _of_lane(edges.n, lane)
-        shape = _of_lane(edges.a, lane), (p, q, n, edges.h[lane])
+        p, q = three_of_lane(edges.p, lane), three_of_lane(edges.q, lane)
+        n = three_of_lane(edges.n, lane)
+        shape = three_of_lane(edges.a, lane), (p, q, n, edges.h[lane])
         triangle, allowed = block + (lane << SHIFT_64), lanes_from_bits(mask16, bits)
         kept = test_group(leaf, packet, g, allowed, triangle, shape, prim_id)
         has_hit |= kept != ZERO_U64
@@ -127,10 +123,10 @@ def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
     end = leaf_end(block, child)
     while block != end:
         a, (p, q, n, edges.h) = edges_of(block)
-        put_triple(edges.a, a)
-        put_triple(edges.p, p)
-        put_triple(edges.q, q)
-        put_triple(edges.n, n)
+        put_three(edges.a, a)
+        put_three(edges.p, p)
+        put_three(edges.q, q)
+        put_three(edges.n, n)
         left = groups
         while left != ZERO_U64:
             g = count_trailing_zeros(left)

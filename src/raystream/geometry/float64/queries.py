@@ -19,7 +19,7 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import count_trailing_zeros, load, store
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.queries import RaySearches, note_status
-from raystream.kernels.ray_source import load_direction, load_origin
+from raystream.kernels.ray_source import loader, read_float64_ray
 
 _MISS = np.int32(-1)
 
@@ -28,14 +28,14 @@ LANES_BYTES = 64
 MEMORY_BYTES = STACK_BYTES + LANES_BYTES
 
 
+#: ``load_float64(source, i, frame)``: ray i of a `RaySource` with limits in float64.
+load_float64 = loader(read_float64_ray, prepare_float64)
+
+
 @device
 def _load_ray(i, scene):
-    """Ray i of a `RayScene`, whose limits are float64, prepared; its status is written."""
-    source = scene.source
-    t_min = load(np.float64, source.t_min + i * source.t_min_step)
-    t_max = load(np.float64, source.t_max + i * source.t_max_step)
-    origin, direction = load_origin(source, i), load_direction(source, i)
-    ray = prepare_float64(origin, direction, t_min, t_max, scene.frame)
+    """Ray i of a `RayScene`, prepared; its status is written."""
+    ray = load_float64(scene.source, i, scene.frame)
     note_status(scene.status, i, ray.status)
     return ray
 

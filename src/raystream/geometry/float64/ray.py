@@ -6,7 +6,6 @@ local frame, in float32; their distances are computed in float64, with bounds of
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,22 +16,27 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
     absolute,
-    bits_as_float,
-    copy_sign,
-    float_as_bits,
     maximum,
     minimum,
     select,
 )
-from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
+from raystream.kernels.ray import (
+    MOST_COORDINATE,
+    WorldRay,
+    are_within,
+    is_valid,
+    largest,
+    length_power,
+    scaled,
+    scaled_slowly,
+    slab_constants,
+    to_frame,
+)
 from raystream.structures.bvh.node_layout import BOX_FLIP, NODE_AXIS
 
 #: Coordinates of smaller magnitude, and components of directions smaller than this part of the
 #: largest one, count as 0: products of their rounding errors would leave float64.
 LEAST = 2.0**-200
-
-#: Coordinates of larger magnitude make a ray invalid.
-MOST_COORDINATE = 2.0**200
 
 #: Boxes are padded by this part of the scene's and the origin's largest coordinates together:
 #: the origin is rounded twice, the reciprocal direction twice, and the distance twice, which is
@@ -139,60 +143,54 @@ def without_least(x):
 
 
 @device
-def largest(x):
-    """The largest magnitude of a triple of numbers or vectors."""
-    return maximum(maximum(absolute(x[0]), absolute(x[1])), absolute(x[2]))
-
-
-@device
 def _first_planes(axis, inv):
     """Offset of the planes of an axis that a ray enters by; see `node_layout.plane_offset`."""
     return axis * NODE_AXIS + (BOX_FLIP if inv < ZERO_F64 else ZERO_U64)
 
 
 @device
-def _inverse(d, inverse_scale):
-    return copy_sign(inverse_scale / max(abs(d), _TINY), d)
+def usual_line(ray):
+    """The line of a `WorldRay`, or of sixteen, if one product scales it.
 
-
-@device
-def _is_valid(origin, direction, t_min, t_max):
+    Returns
+    -------
+    is_so : bool or mask
+    line : Line
+    half : float64
+        See `Float64Ray`, where `rest` is 1.
+    """
+    is_usual, half, inverse = length_power(ray.direction, LEAST_EXPONENT, MOST_EXPONENT)
     # Written so that a NaN fails.
-    ox, oy, oz = origin
-    dx, dy, dz = direction
-    if not (
-        abs(ox) <= MOST_COORDINATE and abs(oy) <= MOST_COORDINATE and abs(oz) <= MOST_COORDINATE
-    ):
-        return False
-    if not (abs(dx) < np.inf and abs(dy) < np.inf and abs(dz) < np.inf):
-        return False
-    if dx == 0.0 and dy == 0.0 and dz == 0.0:
-        return False
-    return t_min == t_min and t_max == t_max
+    is_usual = is_usual & are_within(ray.origin, MOST_COORDINATE)
+    is_usual = is_usual & (ray.t_min == ray.t_min) & (ray.t_max == ray.t_max)
+    direction = without_least(scaled(ray.direction, half))
+    limits = ray.t_min * inverse, ray.t_max * inverse
+    return is_usual, Line(without_least(ray.origin), direction, *limits), half
 
 
 @device_call
-def _scaled_slowly(direction):
-    """Factors and the scaled direction, for lengths that one product does not scale."""
+def _unusual_line(ray):
+    """The line of a ray that is not valid, or whose length one product does not scale."""
     no_inline()
-    dx, dy, dz = direction
-    exponent = 1 - math.frexp(max(abs(dx), abs(dy), abs(dz)))[1]
-    # In two steps no factor overflows, even for the smallest directions.
-    half = math.ldexp(1.0, exponent // 2)
-    rest = math.ldexp(1.0, exponent - exponent // 2)
-    return half, rest, dx * half * rest, dy * half * rest, dz * half * rest
+    status = VALID
+    if not is_valid(ray):
+        status = INVALID
+        no_origin, some = (ZERO_F64, ZERO_F64, ZERO_F64), (ONE_F64, ONE_F64, ONE_F64)
+        ray = WorldRay(no_origin, some, INF_F64, -INF_F64)
+    half, rest, direction = scaled_slowly(ray.direction)
+    limits = ray.t_min / half / rest, ray.t_max / half / rest
+    line = Line(without_least(ray.origin), without_least(direction), *limits)
+    return line, half, rest, status
 
 
 @device
-def make_line(origin, direction, t_min, t_max):
+def make_line(ray):
     """Make the line of a ray.
 
     Parameters
     ----------
-    origin, direction : triple of float64
-        World space.
-    t_min, t_max : float64
-        Closed interval, in direction lengths.
+    ray : WorldRay
+        With limits in float64.
 
     Returns
     -------
@@ -201,45 +199,20 @@ def make_line(origin, direction, t_min, t_max):
         See `Float64Ray`.
     status : uint8
     """
-    status = VALID
-    if not _is_valid(origin, direction, t_min, t_max):
-        status, t_min, t_max = INVALID, INF_F64, -INF_F64
-        origin, direction = (ZERO_F64, ZERO_F64, ZERO_F64), (ONE_F64, ONE_F64, ONE_F64)
-    dx, dy, dz = direction
-    exponent = float_as_bits(largest(direction)) >> MANTISSA_BITS
-    if exponent >= LEAST_EXPONENT and exponent <= MOST_EXPONENT:
-        half, rest = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS), ONE_F64
-        inverse = bits_as_float(exponent << MANTISSA_BITS)
-        t_min, t_max = t_min * inverse, t_max * inverse
-        dx, dy, dz = dx * half, dy * half, dz * half
-    else:
-        half, rest, dx, dy, dz = _scaled_slowly(direction)
-        t_min, t_max = t_min / half / rest, t_max / half / rest
-    line = Line(without_least(origin), without_least((dx, dy, dz)), t_min, t_max)
-    return line, half, rest, status
-
-
-@device
-def local_origin(origin, frame):
-    """An origin, of numbers or vectors, in the scene's local frame."""
-    ox, oy, oz = origin
-    return (
-        (ox - frame.center[0]) * frame.scale,
-        (oy - frame.center[1]) * frame.scale,
-        (oz - frame.center[2]) * frame.scale,
-    )
+    is_so, line, half = usual_line(ray)
+    if is_so:
+        return line, half, ONE_F64, VALID
+    return _unusual_line(ray)
 
 
 @device_call
-def prepare_float64(origin, direction, t_min, t_max, frame):
+def prepare_float64(ray, frame):
     """Prepare a ray.
 
     Parameters
     ----------
-    origin, direction : triple of float64
-        World space.
-    t_min, t_max : float64
-        Closed interval, in direction lengths.
+    ray : WorldRay
+        With limits in float64.
     frame : SceneFrame
 
     Returns
@@ -247,27 +220,23 @@ def prepare_float64(origin, direction, t_min, t_max, frame):
     Float64Ray
     """
     no_inline()
-    line, half, rest, status = make_line(origin, direction, t_min, t_max)
+    line, half, rest, status = make_line(ray)
     return ray_of_line(line, half, rest, status, frame)
 
 
 @device
 def ray_of_line(line, half, rest, status, frame):
     """The ray of a line; see `make_line` for the arguments."""
-    dx, dy, dz = line.direction
-    x, y, z = local = local_origin(line.origin, frame)
+    local = to_frame(line.origin, frame)
     pad = _PAD * (np.float64(frame.max_coordinate) + largest(local))
-    inv_x = _inverse(dx, frame.inverse_scale)
-    inv_y = _inverse(dy, frame.inverse_scale)
-    inv_z = _inverse(dz, frame.inverse_scale)
-    pad_x, pad_y, pad_z = copy_sign(pad, inv_x), copy_sign(pad, inv_y), copy_sign(pad, inv_z)
+    inv, near, far = slab_constants(local, line.direction, _TINY, pad, frame.inverse_scale)
     return Float64Ray(
         line,
         half,
         rest,
-        (_first_planes(_X, inv_x), _first_planes(_Y, inv_y), _first_planes(_Z, inv_z)),
-        (inv_x, inv_y, inv_z),
-        (-((x + pad_x) * inv_x), -((y + pad_y) * inv_y), -((z + pad_z) * inv_z)),
-        (-((x - pad_x) * inv_x), -((y - pad_y) * inv_y), -((z - pad_z) * inv_z)),
+        (_first_planes(_X, inv[0]), _first_planes(_Y, inv[1]), _first_planes(_Z, inv[2])),
+        inv,
+        near,
+        far,
         status,
     )

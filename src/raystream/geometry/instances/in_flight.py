@@ -11,7 +11,7 @@ import numpy as np
 
 from raystream.core.rays import INVALID
 from raystream.geometry.instances.records import InstanceRecord, ObjectRecord, TreeRecord
-from raystream.geometry.instances.traversal import WorldRay, load_world_ray, object_ray, scene_ray
+from raystream.geometry.instances.traversal import load_scene_ray
 from raystream.jit.constants import INF_F32, NULL, ONE_F64, ONE_U64, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import scratch, store
@@ -19,6 +19,7 @@ from raystream.jit.views import address_of, view
 from raystream.kernels.best import Best, best_views, offer_hits
 from raystream.kernels.leaf_block import HITS, BlockLanes
 from raystream.kernels.ray import local_limit
+from raystream.kernels.ray_source import load_ray
 from raystream.structures.bvh.node_layout import LANE, leaf_address, prefetch_child, t_key
 from raystream.structures.bvh.walks.in_flight import (
     IN_FLIGHT,
@@ -56,7 +57,7 @@ _HITS_BYTES = HITS.itemsize
 @device
 def _start(slot, stack, i, source, frame, top, status):
     """Put ray i into a slot, before the root of the tree over the instances."""
-    ray, most, _ = scene_ray(load_world_ray(source, i), top, frame)
+    ray, most, _ = load_scene_ray(source, i, top, frame)
     if ray.status == INVALID:
         store(status + i, INVALID)
     start_ray(slot, stack, i, ray, most)
@@ -72,8 +73,7 @@ def _enter(slot, inner, stack, source, objects):
     instance = InstanceRecord(leaf_address(slot.leaves, slot.child))
     object_ = ObjectRecord(objects, np.uint64(instance.object_id))
     i = np.uint64(slot.ray)
-    ox, oy, oz, dx, dy, dz, t_min, t_max = load_world_ray(source, i)
-    ray = object_ray(instance, WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, True), object_)
+    ray = load_ray(source, i, object_, instance)
     far = ray.t_max
     if slot.prim_id != NO_PRIM:
         far = min(far, local_limit(slot.best_t, ray.t_scale, ray.t_offset))

@@ -15,8 +15,8 @@ from raystream.geometry.instances.object_rays import (
     WORLD_BYTES,
     World,
     WorldLanes,
-    load_in_object_space,
-    read_ray,
+    load_in_object,
+    read_into,
 )
 from raystream.geometry.instances.padding import drop_invalid, padded_source
 from raystream.geometry.instances.records import InstanceRecord, ObjectRecord, TreeRecord
@@ -34,6 +34,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
+from raystream.jit.views import address_of
 from raystream.kernels.best import shorten_lanes
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.leaf_kinds import InstanceHits, leaf_within, scene_group
@@ -96,13 +97,10 @@ def _load_groups(inside, packet, box, rays, groups, instance, object_):
         bits = entering_rays(packet, g, box, rays)
         if bits == ZERO_U64:
             continue
-        hits, world, group = (
-            InstanceHits(packet, g),
-            World(inside.worlds, g),
-            Group(inside.packet, count),
-        )
+        hits, world = InstanceHits(packet, g), World(inside.worlds, g)
+        group = Group(inside.packet, count)
         world.best_t, world.best = hits.t, hits.prim_id
-        load_in_object_space(group, world, instance, object_)
+        load_in_object(address_of(group), address_of(world), instance, object_)
         enters = lanes_from_bits(mask16, bits)
         group.t = select(enters, group.t, f32x16(-INF_F32))
         prepare_group(group, object_.max_coordinate)
@@ -157,7 +155,7 @@ def _read_rays(packet, number, worlds, slow_groups, source):
         if count == ZERO_U64:
             continue
         for k in range(_LANES):
-            read_ray(world, k, source.rays, first + min(k, count - ONE_U64))
+            read_into(world, k, source.rays, first + min(k, count - ONE_U64))
         hits.t = World(worlds, g).best_t
         if is_slow:
             drop_invalid(lanes, first, count, source)

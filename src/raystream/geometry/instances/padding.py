@@ -79,7 +79,6 @@ def drop_invalid(lanes, first, count, source):
     """
     no_inline()
     for k in range(count):
-        x, y, z = load_direction(source.rays, first + k)
-        if not is_scalable(x, y, z):
+        if not is_scalable(load_direction(source.rays, first + k)):
             store(source.status + first + k, INVALID)
             lanes.t[k], lanes.t_min[k], lanes.direction_class[k] = -INF_F32, INF_F32, NO_CLASS

@@ -14,12 +14,12 @@ import numpy as np
 
 from raystream.core.rays import INVALID, VALID
 from raystream.geometry.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
-from raystream.jit.constants import INF_F32
+from raystream.jit.constants import ONE_F64, ZERO_F64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
 from raystream.kernels.queries import RaySearches, note_status, ray_filter, searches_of
-from raystream.kernels.ray import LocalRay, prepare_ray
-from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
+from raystream.kernels.ray import WorldRay, largest, missing_ray, prepare_ray
+from raystream.kernels.ray_source import load_ray, local_ray, read_ray
 from raystream.kernels.search import (
     InstanceRay,
     begin_search,
@@ -37,18 +37,15 @@ __all__ = [
     "MOST_FAR",
     "STACK_BYTES",
     "TopAddresses",
-    "WorldRay",
     "instance_searches",
     "is_scalable",
-    "load_world_ray",
-    "object_ray",
-    "scene_ray",
+    "load_scene_ray",
     "traverse_all",
     "traverse_top",
 ]
 
 _STACK, _TREE = np.uint64(STACK_BYTES), np.uint64(TREE.itemsize)
-_NONE, _ONE, _TWO = np.arange(3, dtype=np.uint64)
+_NONE, _, _TWO = np.arange(3, dtype=np.uint64)
 _LEAF_SHIFT = np.int32(3)
 _NO_ID = np.int32(0)
 
@@ -90,20 +87,6 @@ class TopAddresses(NamedTuple):
     far_unit: np.float64
 
 
-class WorldRay(NamedTuple):
-    """A ray in world space, and whether it is traced at all."""
-
-    ox: np.float64
-    oy: np.float64
-    oz: np.float64
-    dx: np.float64
-    dy: np.float64
-    dz: np.float64
-    t_min: np.float32
-    t_max: np.float32
-    is_valid: bool
-
-
 class _InstanceContext(NamedTuple):
     """The instances that one ray may hit, with that ray in world space.
 
@@ -113,11 +96,14 @@ class _InstanceContext(NamedTuple):
     world : int32
         Of the ray; -1 meets the instances in all worlds only.
     ray : WorldRay
+    is_valid : bool
+        Whether it is traced at all.
     """
 
     top: TopAddresses
     world: np.int32
     ray: WorldRay
+    is_valid: bool
 
 
 class _RayTree(NamedTuple):
@@ -130,34 +116,9 @@ class _RayTree(NamedTuple):
 
 
 @device
-def is_scalable(dx, dy, dz):
+def is_scalable(direction):
     """Whether a direction's length is within bounds."""
-    return 1.0 / MAX_LENGTH <= max(abs(dx), abs(dy), abs(dz)) <= MAX_LENGTH
-
-
-@device
-def _product(row, x, y, z):
-    return row[0] * x + row[1] * y + row[2] * z
-
-
-@device
-def object_ray(instance, ray, object_):
-    """The ray in the local frame of an instance's object."""
-    ax = instance.linear[_NONE]
-    ay = instance.linear[_ONE]
-    az = instance.linear[_TWO]
-    shift = instance.shift
-    return local_ray(
-        _product(ax, ray.ox, ray.oy, ray.oz) + shift[0],
-        _product(ay, ray.ox, ray.oy, ray.oz) + shift[1],
-        _product(az, ray.ox, ray.oy, ray.oz) + shift[2],
-        _product(ax, ray.dx, ray.dy, ray.dz),
-        _product(ay, ray.dx, ray.dy, ray.dz),
-        _product(az, ray.dx, ray.dy, ray.dz),
-        ray.t_min,
-        ray.t_max,
-        object_,
-    )
+    return 1.0 / MAX_LENGTH <= largest(direction) <= MAX_LENGTH
 
 
 def _instance_search(traverse):
@@ -166,11 +127,11 @@ def _instance_search(traverse):
     def search_instance(tree, index, search, stack):
         instance = InstanceRecord(tree.leaves, index)
         object_ = ObjectRecord(tree.objects, np.uint64(instance.object_id))
-        ray = object_ray(instance, tree.ray, object_)
+        ray = local_ray(tree.ray, object_, instance)
         inner = enter_instance(search, ray, instance.first_id)
         if not (inner.t_min <= inner.t_far):
             return search
-        local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, object_.max_coordinate)
+        local = prepare_ray(ray.origin, ray.direction, object_.max_coordinate)
         return leave_instance(search, traverse(object_, local, inner, stack))
 
     return search_instance
@@ -208,7 +169,7 @@ def traverse_top(scene, ray, search, stack):
 @device
 def traverse_all(scene, ray, search, stack):  # noqa: ARG001
     """Search all instances of the ray's world, without a tree, by brute force."""
-    if scene.ray.is_valid:
+    if scene.is_valid:
         top = scene.top
         tree = _RayTree(_NONE, top.leaves, top.objects, scene.ray)
         for index in range(top.instance_count):
@@ -221,22 +182,13 @@ def traverse_all(scene, ray, search, stack):  # noqa: ARG001
 
 
 @device
-def load_world_ray(source, i):
-    """Ray i in world space, for `scene_ray`."""
-    ox, oy, oz = load_origin(source, i)
-    dx, dy, dz = load_direction(source, i)
-    t_min, t_max = load_limits(source, i)
-    return ox, oy, oz, dx, dy, dz, t_min, t_max
-
-
-@device
-def scene_ray(world_ray, top, frame):
-    """A ray among the boxes of a scene's instances.
+def load_scene_ray(source, i, top, frame):
+    """Load a ray among the boxes of a scene's instances.
 
     Parameters
     ----------
-    world_ray : tuple
-        Origin and direction, six float64 numbers in world space, and the limits, float32.
+    source : RaySource
+    i : uint64
     top : TopAddresses
     frame : SceneFrame
         Of the boxes.
@@ -249,31 +201,13 @@ def scene_ray(world_ray, top, frame):
         For `prepare_ray`: the largest coordinate, and the boxes' additional padding.
     whole : WorldRay
     """
-    ox, oy, oz, dx, dy, dz, t_min, t_max = world_ray
-    ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
-    is_valid = ray.status == VALID and is_scalable(dx, dy, dz)
-    reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale
+    whole, ray = read_ray(source, i), load_ray(source, i, frame)
+    is_valid = ray.status == VALID and is_scalable(whole.direction)
+    reach = largest(whole.origin) * frame.scale
     far = np.float32(min(top.far_unit * reach, MOST_FAR))
-    whole = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
-    return _limited(ray, is_valid), frame.max_coordinate + far, whole
-
-
-@device
-def _limited(ray, is_valid):
-    """The ray with its status, and with an empty interval if it is not valid."""
-    return LocalRay(
-        ray.ox,
-        ray.oy,
-        ray.oz,
-        ray.dx,
-        ray.dy,
-        ray.dz,
-        ray.t_min,
-        ray.t_max if is_valid else -INF_F32,
-        ray.t_scale,
-        ray.t_offset,
-        VALID if is_valid else INVALID,
-    )
+    if not is_valid:
+        ray = missing_ray(INVALID)
+    return ray, frame.max_coordinate + far, whole
 
 
 def instance_searches(traverse) -> RaySearches:
@@ -284,31 +218,14 @@ def instance_searches(traverse) -> RaySearches:
         top, world = scene.arrays, _NO_ID
         if top.worlds != _NONE:
             world = load(np.int32, top.worlds + (i << _TWO))
-        ray, most, whole = scene_ray(load_world_ray(scene.source, i), top, scene.frame)
+        ray, most, whole = load_scene_ray(scene.source, i, top, scene.frame)
         note_status(scene.status, i, ray.status)
-        local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, most)
+        local = prepare_ray(ray.origin, ray.direction, most)
         instance = InstanceRay(ray.t_scale, ray.t_offset, _NO_ID)
         tally, filter_ = tally_of(scene.tallies, i), ray_filter(scene.filter, i, ray)
         search = begin_search(ray.t_min, ray.t_max, goal, tally, filter_, instance)
-        found = traverse(_InstanceContext(top, world, whole), local, search, memory)
-        return found, _world_ray(ray)
+        context = _InstanceContext(top, world, whole, ray.status == VALID)
+        # Distances are those of world space already.
+        return traverse(context, local, search, memory), InstanceRay(ONE_F64, ZERO_F64, _NO_ID)
 
     return searches_of(search_ray)
-
-
-@device
-def _world_ray(ray):
-    """A ray whose distances are those of world space already."""
-    return LocalRay(
-        ray.ox,
-        ray.oy,
-        ray.oz,
-        ray.dx,
-        ray.dy,
-        ray.dz,
-        ray.t_min,
-        ray.t_max,
-        np.float64(1.0),
-        np.float64(0.0),
-        ray.status,
-    )

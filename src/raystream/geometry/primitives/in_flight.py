@@ -12,14 +12,14 @@ import numpy as np
 
 from raystream.geometry.primitives.records import PrimitiveAddresses
 from raystream.geometry.primitives.traversal import STACK_BYTES, RayScene, traverse_trees
-from raystream.geometry.spheres.sphere import exact_ray, intersect_spheres
+from raystream.geometry.spheres.sphere import intersect_spheres, load_exact
 from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import scratch
 from raystream.jit.views import address_of
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import prepare_ray
-from raystream.kernels.ray_source import load_direction, load_origin, load_ray
+from raystream.kernels.ray_source import load_ray
 from raystream.kernels.search import Search, SearchGoal
 from raystream.structures.bvh.node_layout import leaf_address, t_key
 from raystream.structures.bvh.walks.in_flight import NO_PRIM, SLOT, wavefront_kernel
@@ -48,8 +48,8 @@ def _rays(slot, frame, source):
     """The `Ray` and the `ExactRay` of a slot, loaded again: they would take cache lines."""
     i = np.uint64(slot.ray)
     ray, offset = load_ray(source, i, frame), slot.t_offset / slot.t_scale
-    local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
-    return local, exact_ray(load_origin(source, i), load_direction(source, i), offset, frame)
+    local = prepare_ray(ray.origin, ray.direction, frame.max_coordinate)
+    return local, load_exact(source, i, offset, frame)
 
 
 @device

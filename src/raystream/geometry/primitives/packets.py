@@ -19,13 +19,12 @@ from raystream.geometry.primitives.records import (
     FieldRecord,
     SphereBlockLanes,
 )
-from raystream.geometry.spheres.sphere import HIT, ExactRay, exact_ray, intersect, own_box, place
+from raystream.geometry.spheres.sphere import HIT, ExactRay, intersect, load_exact, own_box, place
 from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, THREE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import count_trailing_zeros, lane, lanes_from_bits, mask16, scratch, store
 from raystream.jit.views import view
 from raystream.kernels.ray import SceneFrame
-from raystream.kernels.ray_source import load_direction, load_origin
 from raystream.kernels.triangle_lanes import planes_along, slab_interval
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.leaf_kinds import no_prefetch
@@ -88,7 +87,6 @@ class PrimitiveLeaf(NamedTuple):
 @device
 def _load_exact(exact, packet, number, source, slow_groups):
     """Load a packet's rays in float64."""
-    rays = source.rays
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
         is_slow = (slow_groups >> g) & ONE_U64 == ONE_U64
@@ -96,8 +94,7 @@ def _load_exact(exact, packet, number, source, slow_groups):
         for k in range(_LANES if count != ZERO_U64 else ZERO_U64):
             i = first + min(k, count - ONE_U64)
             t_scale, t_offset = t_transform(group, k, is_slow)
-            origin, direction = load_origin(rays, i), load_direction(rays, i)
-            ray = exact_ray(origin, direction, t_offset / t_scale, source.frame)
+            ray = load_exact(source.rays, i, t_offset / t_scale, source.frame)
             for axis in range(THREE_U64):
                 lanes.origin[axis, k] = ray.origin[axis]
                 lanes.direction[axis, k] = ray.direction[axis]

@@ -8,13 +8,13 @@ import numpy as np
 
 from raystream.geometry.fields.cells import FIELD_BYTES, traverse_all_cells, traverse_field
 from raystream.geometry.primitives.records import FieldRecord, PrimitiveAddresses, SphereBlock
-from raystream.geometry.spheres.sphere import ExactRay, exact_ray, intersect_spheres
+from raystream.geometry.spheres.sphere import ExactRay, intersect_spheres, load_exact
 from raystream.jit.cpu import device
 from raystream.jit.views import address_of
 from raystream.kernels.leaf_block import block_ray
 from raystream.kernels.queries import RaySearches, note_status, searches_of
 from raystream.kernels.ray import Ray, prepare_ray
-from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
+from raystream.kernels.ray_source import load_ray
 from raystream.kernels.search import begin_search, is_full
 from raystream.kernels.tally import tally_of
 from raystream.structures.brute.traversal import traverse as traverse_brute
@@ -114,14 +114,11 @@ def primitive_searches(traverse) -> RaySearches:
 
     @device
     def search_ray(i, scene, goal, memory):
-        ox, oy, oz = load_origin(scene.source, i)
-        dx, dy, dz = load_direction(scene.source, i)
-        t_min, t_max = load_limits(scene.source, i)
-        frame = scene.frame
-        ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
+        source, frame = scene.source, scene.frame
+        ray = load_ray(source, i, frame)
         note_status(scene.status, i, ray.status)
-        exact = exact_ray((ox, oy, oz), (dx, dy, dz), ray.t_offset / ray.t_scale, frame)
-        local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
+        exact = load_exact(source, i, ray.t_offset / ray.t_scale, frame)
+        local = prepare_ray(ray.origin, ray.direction, frame.max_coordinate)
         tally = tally_of(scene.tallies, i)
         search = begin_search(ray.t_min, ray.t_max, goal, tally, None, None)
         found = traverse(RayScene(scene.arrays, exact), local, search, memory)

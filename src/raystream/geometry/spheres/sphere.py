@@ -16,22 +16,19 @@ References
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from raystream.geometry.primitives.records import SPHERES_PER_BLOCK, SphereBlock
 from raystream.jit.constants import ONE_F64, ZERO_F32, ZERO_F64
-from raystream.jit.cpu import device, device_call
+from raystream.jit.cpu import device
 from raystream.jit.simd import (
     absolute,
     any_lane,
     as_float32,
-    bits_as_float,
     copy_sign,
     count_trailing_zeros,
-    float_as_bits,
     mask_bits,
     maximum,
     minimum,
@@ -41,7 +38,8 @@ from raystream.jit.simd import (
     square_root,
 )
 from raystream.jit.views import view
-from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
+from raystream.kernels.ray import length_power, scaled, scaled_slowly
+from raystream.kernels.ray_source import loader, read_ray
 from raystream.kernels.search import is_full, offer
 from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle_lanes import boxes_interval
@@ -61,7 +59,8 @@ _Hits = view([(name, kind, SPHERES_PER_BLOCK) for name, kind in HIT])
 _HitLanes = view([(name, kind, (SPHERES_PER_BLOCK, 1)) for name, kind in HIT])
 _HITS_BYTES = 40 * SPHERES_PER_BLOCK
 
-_LARGEST_EXPONENT = np.int64(2046)
+#: Biased exponents of numbers that are not subnormal, whose reciprocal is not either.
+_LEAST_EXPONENT, _MOST_EXPONENT = np.int64(1), np.int64(2045)
 
 
 class ExactRay(NamedTuple):
@@ -90,32 +89,22 @@ class ExactRay(NamedTuple):
     scale: np.float64
 
 
-@device_call
-def _scaled_slowly(dx, dy, dz):
-    exponent = math.frexp(max(abs(dx), abs(dy), abs(dz)))[1]
-    half = math.ldexp(1.0, (1 - exponent) // 2)
-    rest = math.ldexp(1.0, (1 - exponent) - (1 - exponent) // 2)
-    return dx * half * rest, dy * half * rest, dz * half * rest
-
-
 @device
-def _scaled(dx, dy, dz):
+def _unit_scaled(direction):
     """A direction whose largest component is in [1, 2); nothing useful of an invalid ray's."""
-    exponent = float_as_bits(max(abs(dx), abs(dy), abs(dz))) >> MANTISSA_BITS
-    if exponent > 0 and exponent < _LARGEST_EXPONENT:
-        power = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS)
-        return dx * power, dy * power, dz * power
-    return _scaled_slowly(dx, dy, dz)
+    is_usual, power, _ = length_power(direction, _LEAST_EXPONENT, _MOST_EXPONENT)
+    if is_usual:
+        return scaled(direction, power)
+    return scaled_slowly(direction)[2]
 
 
 @device
-def exact_ray(origin, direction, offset, frame):
+def exact_ray(ray, offset, frame):
     """A ray in float64.
 
     Parameters
     ----------
-    origin, direction : tuple of three float64
-        World space.
+    ray : WorldRay
     offset : float64
         See `ExactRay`.
     frame : SceneFrame
@@ -124,10 +113,14 @@ def exact_ray(origin, direction, offset, frame):
     -------
     ExactRay
     """
-    dx, dy, dz = _scaled(direction[0], direction[1], direction[2])
+    dx, dy, dz = direction = _unit_scaled(ray.direction)
     inv_square = ONE_F64 / (dx * dx + dy * dy + dz * dz)
     scale = np.float64(frame.scale)
-    return ExactRay(origin, (dx, dy, dz), inv_square, offset, frame.center, scale)
+    return ExactRay(ray.origin, direction, inv_square, offset, frame.center, scale)
+
+
+#: ``load_exact(source, i, offset, frame)``: ray i of a `RaySource`, see `exact_ray`.
+load_exact = loader(read_ray, exact_ray)
 
 
 @device

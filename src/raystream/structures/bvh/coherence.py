@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from raystream.jit.constants import ONE_U64
-from raystream.jit.cpu import kernel
+from raystream.jit.cpu import device, kernel
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray
 from raystream.structures.bvh.packets.rays import GROUPS, PacketOrder, group_rows
@@ -119,6 +119,11 @@ def rivals(coherence: Coherence, guess: str) -> tuple[str, ...]:
     return ("groups",) if guess == "wavefront" else ("wavefront",)
 
 
+@device
+def _largest_difference(p, q):
+    return max(abs(p[0] - q[0]), abs(p[1] - q[1]), abs(p[2] - q[2]))
+
+
 @kernel
 def _look(packet_count, source, order, frame, closeness):
     """Count sampled groups, and those of them that are narrow, near, close and joint."""
@@ -138,8 +143,8 @@ def _look(packet_count, source, order, frame, closeness):
         bend, way = np.float32(0.0), np.float32(0.0)
         for i in range(first + ONE_U64, first + count):
             b = load_ray(source, i, frame)
-            bend = max(bend, abs(a.dx - b.dx), abs(a.dy - b.dy), abs(a.dz - b.dz))
-            way = max(way, abs(a.ox - b.ox), abs(a.oy - b.oy), abs(a.oz - b.oz))
+            bend = max(bend, _largest_difference(a.direction, b.direction))
+            way = max(way, _largest_difference(a.origin, b.origin))
         groups += 1
         narrow += bend <= _NARROW
         near += way <= _NEAR * size

@@ -92,7 +92,7 @@ def _find(begin, end, graph, max_coordinate, rays, t, near, found):
     for i in range(np.uint64(begin), np.uint64(end)):
         found.rows[i] = _NOWHERE
         found.step_counts[i] = 0
-        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
+        ray = prepare_ray(o[i], d[i], max_coordinate)
         is_active, t_in, _ = clip_to_scene(graph, ray, rays.t_min[i], rays.t_max[i])
         if not is_active:
             continue

@@ -35,7 +35,7 @@ def walk_in_turn(begin, end, graph, max_coordinate, rays, last, sectors, steps):
     o, d = rays.origins, rays.directions
     for i in range(np.uint64(begin), np.uint64(end)):
         sectors[i], steps[i] = -1, 0
-        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
+        ray = prepare_ray(o[i], d[i], max_coordinate)
         is_active, t_in, _ = clip_to_scene(graph, ray, rays.t_min[i], rays.t_max[i])
         if is_active:
             at = address(last)

@@ -33,9 +33,10 @@ from raystream.jit.simd import (
     select,
     store,
 )
+from raystream.kernels.aligned import array_address
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_direction, load_origin
-from raystream.structures.bvh.packets.load import load_directions, load_origins
+from raystream.structures.bvh.packets.load import read_lanes
 from raystream.structures.bvh.packets.rays import (
     GROUPS,
     PACKET_RAYS,
@@ -143,7 +144,7 @@ def find_order(source: RaySource, count: int, frame: SceneFrame) -> BatchOrder:
     if count < LEAST_RAYS:
         return straight
     starts = np.empty(count // 16 + 2, np.uint64)
-    row_count, width = find_starts(source, count, frame, address_of(starts), len(starts) - 1)
+    row_count, width = find_starts(source, count, frame, array_address(starts), len(starts) - 1)
     if width >= 16:
         order = BatchOrder(PacketOrder.of_rows(width, count))
     elif row_count >= 2:
@@ -176,15 +177,10 @@ def order_of(starts: NDArray[np.uint64]) -> BatchOrder:
     bands[:-1, 1], bands[-1, 1] = starts[first_rows], starts[-1]
     packet_count = int(bands[-1, 0])
     table = np.empty(max(packet_count * side, 1), np.uint64)
-    fill_table(len(lengths), address_of(starts), address_of(table))
-    at = np.uint64(address_of(table))
+    fill_table(len(lengths), array_address(starts), array_address(table))
+    at = np.uint64(array_address(table))
     packets = PacketOrder(ZERO_U64, np.uint64(starts[-1]), packet_count, at)
     return BatchOrder(packets, bands, table)
-
-
-def address_of(array: NDArray[np.uint64]) -> int:
-    """The address of an array's first number."""
-    return int(array.ctypes.data)
 
 
 def _extent(order: PacketOrder, source: RaySource, frame: SceneFrame) -> float:
@@ -196,6 +192,12 @@ def _extent(order: PacketOrder, source: RaySource, frame: SceneFrame) -> float:
 @device
 def _ray_at(source, i):
     return load_origin(source, i) + load_direction(source, i)
+
+
+@device
+def _rays_at(source, first):
+    rays = read_lanes(source, first, f32x16, np.float32)
+    return rays.origin + rays.direction
 
 
 @device
@@ -235,8 +237,7 @@ def _best_of(source, start, first, end, count, weights):
     best, closeness, best_score = ZERO_U64, INF_F32, INF_F32
     at = max(first, ONE_U64)
     while at < end and at + _LANES <= count:
-        rays = load_origins(source, at) + load_directions(source, at)
-        before = load_origins(source, at - ONE_U64) + load_directions(source, at - ONE_U64)
+        rays, before = _rays_at(source, at), _rays_at(source, at - ONE_U64)
         near = narrow(_square_distance(rays, above, weights))
         far = narrow(_square_distance(rays, before, weights) + _TINY)
         ratio = near / far
@@ -297,12 +298,9 @@ def find_starts(source, ray_count, frame, starts, most):
                 source, start, first, likely + _NEARBY * _LANES, count, weights
             )
         if closeness > _CLEAR:
-            first, end = start + ONE_U64, start + np.uint64(_WIDEST)
+            first, end = start + ONE_U64 + length // np.uint64(4), start + np.uint64(_WIDEST)
             if length != ZERO_U64:
-                first, end = (
-                    start + ONE_U64 + length // np.uint64(4),
-                    start + length + length + np.uint64(64),
-                )
+                end = start + length + length + np.uint64(64)
             found, closeness = _best_of(source, start, first, end, count, weights)
         if closeness > _DOUBTFUL:
             doubtful += ONE_U64

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from raystream.core.rays import INVALID
-from raystream.jit.constants import INF_F32, INF_F64, ONE_F32, ONE_U64, ZERO_F32, ZERO_U64
+from raystream.jit.constants import (
+    INF_F32,
+    ONE_F32,
+    ONE_U64,
+    ZERO_F32,
+    ZERO_F64,
+    ZERO_U64,
+)
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
     absolute,
     all_lanes,
-    bits_as_float,
-    copy_sign,
     count_trailing_zeros,
     f32x16,
     f64x16,
     float_as_bits,
     i32x16,
-    i64x16,
     load,
     load_triples,
     mask_bits,
@@ -30,27 +37,22 @@ from raystream.jit.simd import (
     store,
     widen,
 )
-from raystream.jit.views import address_of
-from raystream.kernels.ray import (
-    LEAST_EXPONENT,
-    MANTISSA_BITS,
-    MOST_EXPONENT,
-    PAD,
-    POWER_EXPONENT,
-    TINY_DIRECTION,
-)
-from raystream.kernels.ray_source import NEAR_REACH, load_ray
+from raystream.kernels.ray import PAD, TINY_DIRECTION, WorldRay, largest, slab_constants
+from raystream.kernels.ray_source import load_ray, near_ray
 from raystream.structures.bvh.packets.rays import (
+    GROUP_BYTES,
     GROUPS,
     NO_CLASS,
     NO_PRIM,
     Group,
     GroupLanes,
     group_rows,
+    put_local,
+    put_local_of_lane,
+    put_three,
     three,
 )
 
-_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _LANES = np.uint64(16)
 _ALL_LANES = np.uint64(0xFFFF)
 _LANE = np.uint64(4)
@@ -103,144 +105,129 @@ def _triples(base, step, are_double, first):
 
 
 @device
-def load_origins(source, first):
-    """Origins of 16 consecutive rays, in float64, world space."""
-    return _triples(source.origins, source.origin_step, source.origins_are_double, first)
+def _limits(at, step, first, lanes, number):
+    if step == ZERO_U64:
+        return lanes(load(number, at))
+    return load(lanes, at + first * step)
 
 
 @device
-def load_directions(source, first):
-    """Directions of 16 consecutive rays, in float64, world space."""
-    return _triples(source.directions, source.direction_step, source.directions_are_double, first)
+def read_lanes(source, first, lanes, number):
+    """Read 16 consecutive rays: a `WorldRay` of vectors.
+
+    Parameters
+    ----------
+    source : RaySource
+    first : uint64
+    lanes, number : type
+        Of the limits: vector and number.
+    """
+    return WorldRay(
+        _triples(source.origins, source.origin_step, source.origins_are_double, first),
+        _triples(source.directions, source.direction_step, source.directions_are_double, first),
+        _limits(source.t_min, source.t_min_step, first, lanes, number),
+        _limits(source.t_max, source.t_max_step, first, lanes, number),
+    )
 
 
-@device
-def _numbers(base, step, first):
-    at = base + first * step
-    if step == np.uint64(0):
-        return f32x16(load(np.float32, at))
-    return load(f32x16, at)
+def lanes_loader(
+    read: Callable[..., Any],
+    move: Callable[..., Any],
+    put: Callable[..., Any],
+    load_one: Callable[..., Any],
+) -> Callable[..., Any]:
+    """Make the loader of sixteen rays into the frame in which they are searched.
 
-
-@device_call
-def _patch(lanes, lane, status, source, i, frame):
-    """Load one ray into a lane of a group by the slow path."""
-    no_inline()
-    ray = load_ray(source, i, frame)
-    origin, direction = lanes.origin, lanes.direction
-    origin[_X, lane], origin[_Y, lane], origin[_Z, lane] = ray.ox, ray.oy, ray.oz
-    direction[_X, lane], direction[_Y, lane], direction[_Z, lane] = ray.dx, ray.dy, ray.dz
-    lanes.t_min[lane], lanes.t[lane] = ray.t_min, ray.t_max
-    lanes.slow_t_scale[lane], lanes.slow_t_offset[lane] = ray.t_scale, ray.t_offset
-    if ray.status == INVALID:
-        store(status + i, INVALID)
-
-
-@device
-def scale_lanes(direction, t_min, t_max, frame):
-    """Lengths of 16 rays in a local frame, see `ray_source.local_ray`.
+    Parameters
+    ----------
+    read : device function
+        ``read(source, first)``: 16 rays as vectors, a `WorldRay`.
+    move : device function
+        ``move(ray, source) -> (is_so, moved)``: these rays in the frame, and the mask of those for
+        which that is right.
+    put : device function
+        ``put(at, moved, is_so)`` writes them to the group at an address.
+    load_one : device function
+        ``load_one(at, lane, source, i, is_traced)`` loads ray i into a lane by itself, as one that
+        is not traced if so.
 
     Returns
     -------
-    is_usual : mask
-        Rays whose directions one power of two scales.
-    power : f64x16
-        Of two: it scales the largest component of the direction to [1, 2).
-    t_scale : f64x16
-    low, high : f32x16
-        The limits. They are exact if ``low * t_scale`` is t_min, and likewise for t_max.
+    device function
+        ``load(at, source, first, count) -> uint64`` loads the `count` rays from `first` on, at
+        least one; the last one is repeated, but not traced. Returns the bits of the lanes that
+        were loaded by themselves.
     """
-    dx, dy, dz = absolute(direction[0]), absolute(direction[1]), absolute(direction[2])
-    exponent = float_as_bits(maximum(maximum(dx, dy), dz)) >> MANTISSA_BITS
-    is_usual = (exponent >= LEAST_EXPONENT) & (exponent <= MOST_EXPONENT) & (dx + dy + dz < INF_F64)
-    power = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
-    inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
-    # Adding zero turns -0 into 0: the bits of positive numbers are in the numbers' order.
-    low, high = narrow(widen(t_min) * inverse) + ZERO_F32, narrow(widen(t_max) * inverse) + ZERO_F32
-    return is_usual, power, power * frame.inverse_scale, low, high
+
+    @device
+    def load_lanes(at, source, first, count):
+        singly = _ALL_LANES
+        if count == _LANES:
+            is_so, moved = move(read(source, first), source)
+            put(at, moved, is_so)
+            singly ^= mask_bits(is_so)
+        left = singly
+        while left != ZERO_U64:
+            lane = count_trailing_zeros(left)
+            left &= left - ONE_U64
+            load_one(at, lane, source, first + min(lane, count - ONE_U64), lane < count)
+        return singly
+
+    return load_lanes
 
 
 @device
-def _load_group(group, source, first, frame, status):
-    """Load 16 rays and make them local; returns whether one of them took the slow path."""
-    wx, wy, wz = load_origins(source, first)
-    dx, dy, dz = load_directions(source, first)
-    t_min = _numbers(source.t_min, source.t_min_step, first)
-    t_max = _numbers(source.t_max, source.t_max_step, first)
-    ox = narrow((wx - frame.center[0]) * frame.scale)
-    oy = narrow((wy - frame.center[1]) * frame.scale)
-    oz = narrow((wz - frame.center[2]) * frame.scale)
+def _read(source, first):
+    return read_lanes(source.rays, first, f32x16, np.float32)
 
-    # The condition for the fast path is that of `ray_source.load_ray`.
-    is_usual, power, t_scale, low, high = scale_lanes((dx, dy, dz), t_min, t_max, frame)
-    reach = NEAR_REACH * frame.max_coordinate
-    near_by = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz)) <= reach
-    is_fast = (
-        is_usual
-        & (absolute(ox) + absolute(oy) + absolute(oz) < INF_F32)
-        & near_by
-        & (widen(narrow(t_scale)) == t_scale)
-        & (widen(low) * t_scale == widen(t_min))
-        & (widen(high) * t_scale == widen(t_max))
-    )
-    origin, direction = group.origin, group.direction
-    origin[_X], origin[_Y], origin[_Z] = ox, oy, oz
-    direction[_X] = narrow(dx * power)
-    direction[_Y] = narrow(dy * power)
-    direction[_Z] = narrow(dz * power)
-    group.t_min, group.t, group.t_scale = low, high, narrow(t_scale)
-    if all_lanes(is_fast):
-        return False
-    group.slow_t_scale, group.slow_t_offset = t_scale, f64x16(np.float64(0.0))
-    lanes = GroupLanes(address_of(group))
-    bits = mask_bits(is_fast) ^ _ALL_LANES
-    while bits != ZERO_U64:
-        lane = count_trailing_zeros(bits)
-        bits &= bits - ONE_U64
-        _patch(lanes, lane, status, source, first + lane, frame)
-    return True
+
+@device
+def _move(ray, source):
+    is_so, local = near_ray(ray, source.frame)
+    # Of rays that did not take the slow path, a group keeps the scale in float32.
+    return is_so & (widen(narrow(local.t_scale)) == local.t_scale), local
+
+
+@device
+def _put(at, local, is_so):
+    group = Group(at)
+    put_local(group, local)
+    group.t_scale = narrow(local.t_scale)
+    if not all_lanes(is_so):
+        set_slow(group)
 
 
 @device_call
-def _load_few(lanes, source, first, count, frame, status):
-    """Load fewer than 16 rays one by one; the other lanes repeat the last one, inactive."""
+def _load_one(at, lane, source, i, is_traced):
+    """Load one ray into a lane of a group by the slow path."""
     no_inline()
-    for lane in range(_LANES):
-        _patch(lanes, lane, status, source, first + min(lane, count - ONE_U64), frame)
-        if lane >= count:
-            lanes.t[lane], lanes.t_min[lane] = -INF_F32, INF_F32
+    ray, lanes = load_ray(source.rays, i, source.frame), GroupLanes(at)
+    put_local_of_lane(lanes, lane, ray)
+    if ray.status == INVALID:
+        store(source.status + i, INVALID)
+    if not is_traced:
+        lanes.t[lane], lanes.t_min[lane] = -INF_F32, INF_F32
+
+
+_load_lanes = lanes_loader(_read, _move, _put, _load_one)
 
 
 @device
 def prepare_group(group, max_coordinate):
     """`kernels.ray.prepare_ray` of a group, and its direction classes."""
-    ox, oy, oz = three(group.origin)
-    dx, dy, dz = three(group.direction)
+    origin, direction = three(group.origin), three(group.direction)
+    dx, dy, dz = direction
     ax, ay, az = absolute(dx), absolute(dy), absolute(dz)
-    is_y = ay > ax
-    largest = maximum(ay, ax)
-    is_z = az > largest
-    largest = maximum(az, largest)
-    tiny = largest * TINY_DIRECTION
-    reach = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz))
-    pad = (reach + max_coordinate) * PAD
-    one = f32x16(ONE_F32)
-    inv_x = copy_sign(one / maximum(ax, tiny), dx)
-    inv_y = copy_sign(one / maximum(ay, tiny), dy)
-    inv_z = copy_sign(one / maximum(az, tiny), dz)
-    pad_x, pad_y, pad_z = copy_sign(pad, dx), copy_sign(pad, dy), copy_sign(pad, dz)
-    inv, near, far, shear = group.inv, group.near, group.far, group.shear
-    inv[_X], inv[_Y], inv[_Z] = inv_x, inv_y, inv_z
-    near[_X] = -((ox + pad_x) * inv_x)
-    near[_Y] = -((oy + pad_y) * inv_y)
-    near[_Z] = -((oz + pad_z) * inv_z)
-    far[_X] = -((ox - pad_x) * inv_x)
-    far[_Y] = -((oy - pad_y) * inv_y)
-    far[_Z] = -((oz - pad_z) * inv_z)
-    sz = select(is_z, inv_z, select(is_y, inv_y, inv_x))
-    shear[_X] = select(is_z, dx, select(is_y, dz, dy)) * sz
-    shear[_Y] = select(is_z, dy, select(is_y, dx, dz)) * sz
-    shear[_Z] = sz
+    is_y, is_z = ay > ax, az > maximum(ay, ax)
+    tiny, pad = largest(direction) * TINY_DIRECTION, (largest(origin) + max_coordinate) * PAD
+    inv, near, far = slab_constants(origin, direction, tiny, pad, ONE_F32)
+    put_three(group.inv, inv)
+    put_three(group.near, near)
+    put_three(group.far, far)
+    sz = select(is_z, inv[2], select(is_y, inv[1], inv[0]))
+    shear_x = select(is_z, dx, select(is_y, dz, dy)) * sz
+    shear_y = select(is_z, dy, select(is_y, dx, dz)) * sz
+    put_three(group.shear, (shear_x, shear_y, sz))
     # Class: 4 * octant + largest axis; NO_CLASS for a ray that cannot hit anything.
     sign_bits = np.int32(31)
     octant = (
@@ -256,44 +243,49 @@ def prepare_group(group, max_coordinate):
 
 
 @device
-def load_group(group, first, count, source, frame, status):
-    """Load and prepare `count` rays from `first` on as a group; the other lanes are inactive.
+def load_group(at, first, count, source):
+    """Load and prepare rays as the group at an address.
 
-    Returns whether any ray took the slow path: then `slow_t_scale` and `slow_t_offset` are valid.
+    Parameters
+    ----------
+    at : uint64
+    first, count : uint64
+        The rays are `count` from `first` on; the other lanes are inactive.
+    source : PacketSource
+
+    Returns
+    -------
+    bool
+        Whether any ray took the slow path: then `slow_t_scale` and `slow_t_offset` are valid.
     """
-    is_slow = True
-    if count == _LANES:
-        is_slow = _load_group(group, source, first, frame, status)
-    elif count == ZERO_U64:
-        zero, one = f32x16(ZERO_F32), f32x16(ONE_F32)
-        origin, direction = group.origin, group.direction
-        origin[_X], origin[_Y], origin[_Z] = zero, zero, zero
-        direction[_X], direction[_Y], direction[_Z] = one, one, one
-        group.t_min, group.t = one, f32x16(-INF_F32)
-        is_slow = False
+    group, singly = Group(at), ZERO_U64
+    if count != ZERO_U64:
+        singly = _load_lanes(at, source, first, count)
     else:
-        _load_few(GroupLanes(address_of(group)), source, first, count, frame, status)
-    prepare_group(group, frame.max_coordinate)
-    return is_slow
+        zero, one = f32x16(ZERO_F32), f32x16(ONE_F32)
+        put_three(group.origin, (zero, zero, zero))
+        put_three(group.direction, (one, one, one))
+        group.t_min, group.t = one, f32x16(-INF_F32)
+    prepare_group(group, source.frame.max_coordinate)
+    return singly != ZERO_U64
 
 
 @device
 def set_slow(group):
     """Write what a group without rays that took the slow path leaves out."""
     group.slow_t_scale = widen(group.t_scale)
-    group.slow_t_offset = f64x16(np.float64(0.0))
+    group.slow_t_offset = f64x16(ZERO_F64)
 
 
 @device
-def _load_part(packet, g, first, count, source):
+def _load_part(at, first, count, source):
     """Load fewer than 16 rays with those behind them, which become inactive.
 
     A group as of rays that took the slow path, so that its results are written one by one.
     """
-    group = Group(packet, g)
-    if not load_group(group, first, _LANES, source.rays, source.frame, source.status):
-        set_slow(group)
-    lanes = GroupLanes(packet, g)
+    if not load_group(at, first, _LANES, source):
+        set_slow(Group(at))
+    lanes = GroupLanes(at)
     for lane in range(count, _LANES):
         lanes.t[lane], lanes.t_min[lane] = -INF_F32, INF_F32
         lanes.direction_class[lane] = NO_CLASS
@@ -344,10 +336,10 @@ def load_packet(packet, number, source):
     for g in range(GROUPS):
         prefetch_group(number + ONE_U64, g, source)
         first, count = group_rows(source.order, number, g)
+        at, is_slow = packet + g * GROUP_BYTES, True
         if count != _LANES and count != ZERO_U64 and first + _LANES <= source.order.ray_count:
-            _load_part(packet, g, first, count, source)
-            slow_groups |= ONE_U64 << g
-            continue
-        if load_group(Group(packet, g), first, count, source.rays, source.frame, source.status):
-            slow_groups |= ONE_U64 << g
+            _load_part(at, first, count, source)
+        else:
+            is_slow = load_group(at, first, count, source)
+        slow_groups |= np.uint64(is_slow) << g
     return slow_groups

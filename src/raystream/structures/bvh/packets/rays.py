@@ -60,7 +60,7 @@ Group = view(GROUP)
 #: The same with a lane index.
 GroupLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in _FIELDS])
 
-_GROUP_BYTES = np.uint64(GROUP.itemsize)
+GROUP_BYTES = np.uint64(GROUP.itemsize)
 PACKET_BYTES = GROUP.itemsize * PACKET_RAYS // 16
 
 NO_PRIM = np.int32(2**31 - 1)
@@ -224,6 +224,41 @@ def in_all_lanes(x, y, z):
 
 
 @device
+def put_three(rows, x):
+    """Write three vectors to such a field."""
+    rows[_X], rows[_Y], rows[_Z] = x
+
+
+@device
+def three_of_lane(rows, lane):
+    """The three numbers of a ray in such a field."""
+    return rows[_X, lane], rows[_Y, lane], rows[_Z, lane]
+
+
+@device
+def put_three_of_lane(rows, lane, x):
+    """Write the three numbers of a ray."""
+    rows[_X, lane], rows[_Y, lane], rows[_Z, lane] = x
+
+
+@device
+def put_local(group, ray):
+    """Write 16 rays, a `LocalRay` of vectors, but for the way back to world distances."""
+    put_three(group.origin, ray.origin)
+    put_three(group.direction, ray.direction)
+    group.t_min, group.t = ray.t_min, ray.t_max
+
+
+@device
+def put_local_of_lane(lanes, lane, ray):
+    """Write one ray, as one that took the slow path."""
+    put_three_of_lane(lanes.origin, lane, ray.origin)
+    put_three_of_lane(lanes.direction, lane, ray.direction)
+    lanes.t_min[lane], lanes.t[lane] = ray.t_min, ray.t_max
+    lanes.slow_t_scale[lane], lanes.slow_t_offset[lane] = ray.t_scale, ray.t_offset
+
+
+@device
 def _reported(group):
     """Reported distances of a group without slow-path rays; inf for a miss."""
     t = world_lanes(group.t, group.t_scale)
@@ -314,4 +349,4 @@ def store_packet(packet, number, order, slow_groups, wants_any, out):
         first, count = group_rows(order, number, g)
         if count != ZERO_U64:
             is_slow = (slow_groups >> g) & ONE_U64 != ZERO_U64
-            store_group(packet + g * _GROUP_BYTES, first, count, is_slow, wants_any, out)
+            store_group(packet + g * GROUP_BYTES, first, count, is_slow, wants_any, out)

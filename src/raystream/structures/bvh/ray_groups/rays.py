@@ -26,12 +26,14 @@ from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packets.load import load_group, prefetch_group, set_slow
 from raystream.structures.bvh.packets.rays import (
     GROUP,
+    GROUP_BYTES,
     GROUPS,
     PACKET_RAYS,
     Group,
     GroupLanes,
     group_entry,
     group_rows,
+    put_three,
     store_group,
     three,
 )
@@ -47,7 +49,6 @@ RAY_BITS = np.uint64(0xFFFF)
 LANE_SHIFT = np.uint64(4)
 LAST_LANE = np.uint64(15)
 _PLACE_SHIFT = np.uint64(3)
-_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 
 #: A ray for nodes and the signs of a leaf; the origin and the shear are in the order of its frame.
 _HOT = np.dtype(
@@ -69,7 +70,6 @@ _COLD = np.dtype([("direction", "f4", 3), ("sy", "f4")])
 Cold = view(_COLD)
 _HOT_BYTES, _COLD_BYTES = np.uint64(_HOT.itemsize), np.uint64(_COLD.itemsize)
 
-_GROUP_BYTES = np.uint64(GROUP.itemsize)
 HOT_AT = np.uint64(_GROUPS * GROUP.itemsize)
 COLD_AT = HOT_AT + np.uint64(BLOCK_RAYS * _HOT.itemsize)
 FLAGS_AT = COLD_AT + np.uint64(BLOCK_RAYS * _COLD.itemsize)
@@ -120,16 +120,16 @@ def arrange_group(group, memory, number):
         back = inv[axis] < ZERO_F32
         low, high = select(back, far[axis], near[axis]), select(back, near[axis], far[axis])
         near[axis], far[axis] = low, high
-    origin, direction, shear = group.origin, group.direction, group.shear
-    ox, oy, oz = in_frame(is_y, is_z, *three(origin))
-    dx, dy, dz = in_frame(is_y, is_z, *three(direction))
-    origin[_X], origin[_Y], origin[_Z] = ox, oy, oz
-    direction[_X], direction[_Y], direction[_Z] = dx, dy, dz
+    origin = in_frame(is_y, is_z, *three(group.origin))
+    direction = in_frame(is_y, is_z, *three(group.direction))
+    put_three(group.origin, origin)
+    put_three(group.direction, direction)
+    shear_x, shear_y, _ = three(group.shear)
     axes = select(is_z, i32x16(_AXES_Z), select(is_y, i32x16(_AXES_Y), i32x16(_AXES_X)))
     slabs = three(inv) + three(near) + three(far)
-    rest = group.t_min, group.t, ox, oy, oz, bits_as_float(axes), shear[_X]
+    rest = (group.t_min, group.t, *origin, bits_as_float(axes), shear_x)
     store_records(memory + HOT_AT + number * _HOT_BYTES, slabs + rest)
-    store_records(memory + COLD_AT + number * _COLD_BYTES, (dx, dy, dz, shear[_Y]))
+    store_records(memory + COLD_AT + number * _COLD_BYTES, (*direction, shear_y))
 
 
 @device
@@ -153,8 +153,8 @@ def load_block(memory, source, first, last, has_filter):
             ray, length = group_rows(source.order, packet, row)
             if length == ZERO_U64:
                 continue
-            group = Group(memory, g)
-            is_slow = load_group(group, ray, length, source.rays, source.frame, source.status)
+            at = memory + g * GROUP_BYTES
+            group, is_slow = Group(at), load_group(at, ray, length, source)
             if has_filter:
                 store(memory + PLACES_AT + (g << _PLACE_SHIFT), group_entry(ray, length))
                 if not is_slow:
@@ -179,7 +179,7 @@ def store_block(memory, order, first, last, wants_any, out):
             if length == ZERO_U64:
                 continue
             is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
-            store_group(memory + g * _GROUP_BYTES, ray, length, is_slow, wants_any, out)
+            store_group(memory + g * GROUP_BYTES, ray, length, is_slow, wants_any, out)
             g += ONE_U64
 
 

@@ -105,7 +105,7 @@ _HITS_BYTES = HITS.itemsize
 @device
 def start_ray(slot, stack, i, ray, max_coordinate):
     """Put a ray into a slot, before the root."""
-    r = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, max_coordinate)
+    r = prepare_ray(ray.origin, ray.direction, max_coordinate)
     inv_x = component(r.kx, r.inv_x, r.inv_y, r.inv_z)
     inv_y = component(r.ky, r.inv_x, r.inv_y, r.inv_z)
     inv_z = r.sz
