@@ -141,7 +141,6 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
 
 
 @device
-@device
 def _take_all(key, level, query, found):  # noqa: ARG001
     return True
 
