@@ -53,11 +53,18 @@ class Batch(NamedTuple):
     @property
     def results(self) -> ResultAddresses:
         """Where the kernels of nearest and any hits write."""
-        status = np.uint64(array_address(self.sink.status))
-        if self.wants_any:
-            seen = np.uint64(array_address(self.sink.seen))
+        sink = self.sink
+        status = np.uint64(array_address(sink.status))
+        if self.query.kind is Kind.ANY_HIT:
+            seen = np.uint64(array_address(sink.seen))
             return ResultAddresses(NULL, NULL, NULL, NULL, seen, status)
-        return ResultAddresses(*self.sink.nearest, NULL, status)
+        memory = getattr(sink, "memory", None)
+        if memory is None:
+            return ResultAddresses(*sink.nearest, NULL, status)
+        # One by one, as calls of one ray are short: a microsecond faster than by `nearest`.
+        t, step = array_address(memory), memory.strides[0]
+        u, v, prim_id = np.uint64(t + step), np.uint64(t + 2 * step), np.uint64(t + 3 * step)
+        return ResultAddresses(np.uint64(t), u, v, prim_id, NULL, status)
 
     def packets(self, frame: SceneFrame) -> PacketSource:
         """The rays as packets."""

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import RayBatch, as_real_array
+from raystream.core.rays import DEFAULT_LIMITS, RayBatch, as_real_array
+
+#: The default limits, made once, as those in float32 are.
+_DEFAULTS = {value: np.array(value) for value in DEFAULT_LIMITS}
 
 
 class Float64Rays(RayBatch):
@@ -24,8 +27,9 @@ class Float64Rays(RayBatch):
     copied_bytes = 8
 
     def __init__(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> None:
-        low, high = _number("t_min", t_min), _number("t_max", t_max)
-        super().__init__(origins, directions, _rounded(low, -np.inf), _rounded(high, np.inf))
+        low, near = _limit("t_min", t_min, -np.inf)
+        high, far = _limit("t_max", t_max, np.inf)
+        super().__init__(origins, directions, near, far)
         self.float64_limits = self._spread(low), self._spread(high)
 
     @property
@@ -39,8 +43,12 @@ class Float64Rays(RayBatch):
         return np.ascontiguousarray(np.broadcast_to(limit, self.shape).reshape(-1))
 
 
-def _number(name: str, values: Any) -> NDArray[np.float64]:
-    return as_real_array(name, values).astype(np.float64)
+def _limit(name: str, values: Any, toward: float) -> tuple[NDArray[np.float64], Any]:
+    """A limit in float64, and rounded to float32; for the usual ones, without arithmetic."""
+    if type(values) is float and values in _DEFAULTS:
+        return _DEFAULTS[values], values
+    exact = as_real_array(name, values).astype(np.float64)
+    return exact, _rounded(exact, toward)
 
 
 def _rounded(limit: NDArray[np.float64], toward: float) -> Any:
