@@ -13,7 +13,6 @@ from raystream.jit.cuda.device_array import DeviceArray
 #: Integers from here on are uint64, others int64.
 _LEAST_UNSIGNED = 2**63
 
-
 #: How values other than NumPy's numbers are passed.
 _CONVERTED: dict[Any, Callable[[Any], Any]] = {
     type(None): lambda _: np.uint64(0),
