@@ -196,7 +196,7 @@ def test_pickled_tracers_trace_in_another_process(tmp_path):
     code = (
         "import pickle, sys; tracer = pickle.load(open(sys.argv[1], 'rb'));"
         "print(tracer.cast((278, 273, -800), (0, 0, 1)).prim_id,"
-        " tracer.first_hit([278, 273, -800], [0, 0, 1]).prim_id, tracer.structure.kernel,"
+        " tracer.first_hit([278, 273, -800], [0, 0, 1]).prim_id, tracer.structure.options.kernel,"
         " tracer.scene.meshes[0].name)"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "tracer")]

@@ -45,6 +45,11 @@ class HitArrays(NamedTuple):
     v: NDArray[Any]
     prim_id: NDArray[np.int32]
 
+    @property
+    def capacity(self) -> int:
+        """Rows: all are the memory's."""
+        return len(self.t)
+
     def part(self, rows: slice) -> HitArrays:
         """A view of some rows."""
         return HitArrays(self.t[rows], self.u[rows], self.v[rows], self.prim_id[rows])

@@ -137,7 +137,7 @@ class MultipassBackend(LocalFrameBackend):
             sink.seen[:] = found != 0
         elif kind is Kind.COUNT_HITS:
             sink.counts[:] = found
-        elif kind is Kind.MULTI_HIT and tallies is not None:
+        elif tallies is not None and job.tallies is not None and kind is Kind.MULTI_HIT:
             tallies[has_rows] = job.tallies  # a copy
 
     def _trace(

@@ -94,7 +94,8 @@ def _numbers(
 
         def decide() -> NDArray[np.bool_]:
             numbers[left] = found
-            return errors < (np.abs(np.abs(found) - 0.5) if accuracy is None else accuracy)
+            room = np.abs(np.abs(found) - 0.5) if accuracy is None else accuracy
+            return errors < room
 
         return calls, decide
 

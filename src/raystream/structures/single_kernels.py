@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -45,18 +45,6 @@ RAYS_PER_CALL = 4096
 _SHARE = 4
 
 
-class HitRows(NamedTuple):
-    """Buffers for `RayQueries.collect_hits`, made for a number of hits."""
-
-    hits: HitArrays
-    capacity: int
-
-    @classmethod
-    def of(cls, kind: type[np.floating[Any]], capacity: int) -> HitRows:
-        """Allocate `capacity` hits, with distances of a type."""
-        return cls(allocate_hits(capacity, kind), capacity)
-
-
 def with_single(structure: Structure) -> dict[Kind, BatchKernels]:
     """The kernels of a structure by the kind of query, with those that trace rays one by one."""
     most = structure.rays_per_call
@@ -89,14 +77,14 @@ def _trace_singly(structure: Structure, batch: Batch) -> Calls:
     visitor = sink.visitor
     limits = HitLimits(query.surfaces, np.uint64(query.limit), query.is_ordered)
 
-    def fill(begin: int, end: int, rows: HitRows) -> int:
+    def fill(begin: int, end: int, rows: HitArrays) -> int:
         splits = np.empty(end - begin + 1, np.int64)
-        reached = structure.queries.collect_hits(begin, end, scene, limits, splits, rows.hits)
+        reached = structure.queries.collect_hits(begin, end, scene, limits, splits, rows)
         if reached > begin:
-            visitor(HitBatch(rows.hits, splits[: reached - begin + 1], None, begin))
+            visitor(HitBatch(rows, splits[: reached - begin + 1], None, begin))
         return int(reached)
 
-    rows_of = partial(HitRows.of, structure.triangles.number_type)
+    rows_of = partial(allocate_hits, kind=structure.triangles.number_type)
     return GrowingBuffers(rows_of, fill, FIRST_CAPACITY), ()
 
 

@@ -74,11 +74,6 @@ class BvhStructure(Structure):
         """Trace cost of the tree before any refit; see `UpdateReport`."""
         return trace_cost(self.tree)
 
-    @property
-    def kernel(self) -> str:
-        """The kernel that traces rays; see `Bvh`."""
-        return self.options.kernel
-
     @cached_property
     def stack_half(self) -> int:
         """Bytes of half a search's stack; see `steps.begin`."""
