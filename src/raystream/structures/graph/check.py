@@ -211,6 +211,7 @@ def _check_links(
     if not _fill_extents(nodes[:, 1].astype(np.int64), planes, inner, sides, hulls):
         raise ValueError("a link node's plane is not between what it links to")
     outer = _targets(links, count, node_count)
+    # The sectors behind a face begin or end in its plane; a void face is at the side of the box.
     for face in range(6):
         axis, is_high = face >> 1, face & 1
         own, other = axis + 3 * is_high, axis + 3 * (1 - is_high)
@@ -218,6 +219,7 @@ def _check_links(
         if (touching != boxes[:, own]).any():
             raise ValueError("a face links to sectors that do not touch it")
 
+    # Rays of an octant leave through three faces, and leave a link node to either side.
     def check_octants(begin: int, end: int) -> None:
         for octant in range(begin, end):
             faces = [2 * axis + (octant >> axis & 1) for axis in range(3)]

@@ -59,8 +59,10 @@ def pack(nodes: NDArray[np.int32]) -> FoleyArrays:
     is_leaf = axis == LEAF_AXIS
     is_split = ~is_leaf
     left, axis = number[is_split], axis[is_split].astype(np.uint32)
+    # A node's pointer: its row among the leaves or among the splits, and which of the two.
     pointers = (np.where(is_leaf, np.cumsum(is_leaf), np.cumsum(is_split)) - 1).astype(np.uint32)
     pointers |= is_leaf.astype(np.uint32) << LEAF_BIT
+    # The two bits of a split's axis are in the pointers to its children.
     below, above = (pointers[left + k] | (axis >> k & 1) << AXIS_BIT for k in range(2))
     parents = _parents(left, len(nodes))[is_leaf]
     leaves = number[is_leaf].astype(np.uint32), first_words[is_leaf], parents.astype(np.uint32)
