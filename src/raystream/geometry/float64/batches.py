@@ -16,7 +16,7 @@ from raystream.geometry.float64.groups import (
     count_in_groups,
     trace_groups,
 )
-from raystream.geometry.float64.packets import FLOAT64_ALL, FLOAT64_COUNTS, trace_packets
+from raystream.geometry.float64.packets import FLOAT64_ALL, trace_packets
 from raystream.jit.constants import ZERO_U64
 from raystream.kernels.aligned import array_address
 from raystream.kernels.hits import HitAddresses
@@ -84,7 +84,7 @@ _KERNELS = {
 }
 
 _NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
-_VISITED, _COUNTED_BY_PACKETS = all_hits_kernels(TREES, FLOAT64_ALL, FLOAT64_COUNTS, _source)
+_VISITED, _COUNTED_BY_PACKETS = all_hits_kernels(TREES, FLOAT64_ALL, _source)
 _COUNTED = {
     "packet": _COUNTED_BY_PACKETS,
     "groups": _of_groups(partial(count_all, count_in_groups, _source)),

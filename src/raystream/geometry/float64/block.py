@@ -17,16 +17,18 @@ sum of the three, and 90 h h + 168 M h for the third; 39 M h h for the distance'
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from raystream.geometry.float64.ray import largest
-from raystream.jit.constants import INF_F64, ONE_U64, SHIFT_64, ZERO_U64
+from raystream.jit.constants import INF_F64, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     absolute,
     any_lane,
+    count_trailing_zeros,
     f64x4,
     fma,
     load,
@@ -48,8 +50,8 @@ SECOND = np.uint64(96)
 THIRD = np.uint64(192)
 PRIM_IDS = np.uint64(288)
 
-#: Where `test_block` writes the upper bounds, behind the lower ones.
-HIGH = np.uint64(32)
+#: Where `block_test` writes the upper bounds of distances, behind the lower ones.
+_HIGH = np.uint64(32)
 
 _UNIT = 2.0**-53
 
@@ -188,38 +190,44 @@ def edges_of(block):
     return a, triangle_edges(a, load_corners(block + SECOND), load_corners(block + THIRD))
 
 
-@device
-def test_block(block, line, t_min, t_far, lanes):
-    """`test_ray` with the triangles of the block at an address."""
-    a, edges = edges_of(block)
-    return test_ray(a, edges, line, t_min, t_far, lanes)
-
-
-@device
-def test_ray(a, edges, line, t_min, t_far, lanes):
-    """Test the triangles of a block against a ray.
+def block_test(take: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the test of a block's triangles against a ray, for what becomes of its hits.
 
     Parameters
     ----------
-    a, edges : tuple
-        See `edges_of`.
-    line : Line
-    t_min, t_far : float64
-        Hits are wanted in this interval.
-    lanes : uint64
-        Address of 64 bytes: of the lanes that may be hit, an interval in which the distance lies.
+    take : device function
+        ``take(search, line, span, triangle, prim_id) -> (search, is_over)`` offers a triangle that
+        the ray may hit to a search; see `search.offer` for the arguments. Hits beyond the search's
+        ``t_far`` are not wanted.
 
     Returns
     -------
-    found, sure : uint64
-        Bits of the lanes that may be hit; and of those that are hit for sure.
+    device function
+        ``test(search, line, triangles, block, spans) -> (search, is_over)``: the search and the
+        `Line` of a ray, the triangles, see `edges_of`, of the block at an address, and the address
+        of 64 bytes.
     """
-    hits = test_lanes(a, edges, line.origin, line.direction, t_min, t_far, None)
-    found = mask_bits(hits.found)
-    if found != ZERO_U64:
-        store(lanes, hits.low)
-        store(lanes + HIGH, hits.high)
-    return found, mask_bits(hits.sure)
+
+    @device
+    def test(search, line, triangles, block, spans):
+        a, edges = triangles
+        origin, direction = line.origin, line.direction
+        hits = test_lanes(a, edges, origin, direction, line.t_min, search.t_far, None)
+        found, sure = mask_bits(hits.found), mask_bits(hits.sure)
+        if found != ZERO_U64:
+            store(spans, hits.low)
+            store(spans + _HIGH, hits.high)
+        while found != ZERO_U64:
+            lane = count_trailing_zeros(found)
+            found &= found - ONE_U64
+            prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
+            span, triangle = span_of(spans, _HIGH, lane, sure), block + (lane << SHIFT_64)
+            search, is_over = take(search, line, span, triangle, prim_id)
+            if is_over:
+                return search, True
+        return search, False
+
+    return test
 
 
 @device

@@ -5,37 +5,29 @@ Packets descend the tree as in `structures.bvh.walks.packet`; leaves test triang
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 
-from raystream.geometry.float64.best import SPAN_BYTES
 from raystream.geometry.float64.block import BLOCK, PRIM_IDS, edges_of, leaf_end
 from raystream.geometry.float64.group_rays import (
     GROUP_BYTES,
     Float64Lanes,
-    exact_ray,
     load_rays,
     put_triple,
 )
-from raystream.geometry.float64.group_results import rays_alone, store_counts, store_nearest
+from raystream.geometry.float64.group_results import store_nearest, trace_alone
 from raystream.geometry.float64.leaf import (
+    SPAN_BYTES,
     Float64Leaf,
     collecting_kind,
-    counting_kind,
     nearest_kind,
     test_group,
     test_one,
 )
-from raystream.geometry.float64.queries import MEMORY_BYTES, tree_searches
-from raystream.geometry.float64.ray import Lengths, ray_of_line
+from raystream.geometry.float64.ray import Lengths
 from raystream.geometry.float64.rows import FLOAT64_ROWS
-from raystream.geometry.float64.traversal import STACK_BYTES
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.copies import Copies
-from raystream.jit.cpu import device, device_call
-from raystream.jit.intrinsics import no_inline
+from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
     lanes_from_bits,
@@ -43,20 +35,17 @@ from raystream.jit.simd import (
     mask16,
     popcount,
     scratch,
-    store,
 )
 from raystream.jit.views import view
-from raystream.kernels.hits import HitAddresses
 from raystream.structures.bvh.leaf_kinds import no_prefetch
 from raystream.structures.bvh.node_layout import leaf_address
-from raystream.structures.bvh.packets.hits import Buffers, Collector, has_room
+from raystream.structures.bvh.packets.hits import Collector
 from raystream.structures.bvh.packets.leaf import entering_rays
 from raystream.structures.bvh.packets.multi_hit import ROWS, row_transform, start_rows
 from raystream.structures.bvh.packets.queries import TREES, PacketAnswer, packet_kernel
 from raystream.structures.bvh.packets.rays import (
     GROUP,
     GROUPS,
-    PACKET_RAYS,
     GroupLanes,
     group_rows,
     three,
@@ -72,14 +61,15 @@ _EDGES_BYTES = _EDGES.itemsize
 _Edges = view(_EDGES)
 _EdgesLanes = view([*((name, "f8", (3, 4, 1)) for name in "apqn"), ("h", "f8", (4, 1))])
 
-#: Where a packet's groups in float64 are in the state of an answer: behind that of `ROWS`.
+#: Where a packet's groups in float64 are in the state of an answer: behind that of `ROWS`. Behind
+#: them, the memory of tests.
 _RAYS_AT = np.uint64(-(-ROWS.byte_count // 64) * 64)
-_STATE_BYTES = int(_RAYS_AT) + int(GROUP_BYTES) * PACKET_RAYS // 16
+_SPANS_AT = _RAYS_AT + GROUP_BYTES * GROUPS
+_STATE_BYTES = int(_SPANS_AT) + SPAN_BYTES
 
 _LIMITS_AT = np.uint64(GROUP.fields["t_active"][1])  # type: ignore[index]
 _BLOCK_LANES = np.uint64(4)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
-_UNIT = np.float64(1.0)
 
 
 # Leaves
@@ -147,74 +137,54 @@ def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
 
 
 @device
-def _load_rays(packet, number, slow_groups, source, state, kind):
-    """Load the rays of a packet in float64, after `load_packet`; returns its leaves."""
-    rays = state + _RAYS_AT
+def _leaf(kind, state):
+    rays, spans = state + _RAYS_AT, state + _SPANS_AT
+    return Float64Leaf(_visit_leaf, no_prefetch, kind, rays, _LIMITS_AT, spans)
+
+
+@device
+def _load_rays(leaf, packet, number, slow_groups, source):
+    """Load the rays of a packet in float64, after `load_packet`."""
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
         if count != ZERO_U64:
             is_slow = (slow_groups >> g) & ONE_U64 != ZERO_U64
-            at = rays + g * GROUP_BYTES
+            at = leaf.rays + g * GROUP_BYTES
             load_rays(at, source, first, count, is_slow, GroupLanes(packet, g))
-    return Float64Leaf(_visit_leaf, no_prefetch, kind, rays, _LIMITS_AT, scratch(SPAN_BYTES))
+    return leaf
 
 
-def _answer(kind_of: Callable[..., Any], store_group: Callable[..., Any]) -> PacketAnswer:
-    """Make an answer of functions for its leaves, see `leaf`, and results, see `group_results`."""
-
-    @device
-    def begin(packet, number, slow_groups, source, wanted, state):
-        return _load_rays(packet, number, slow_groups, source, state, kind_of(wanted))
-
-    @device
-    def finish(packet, number, slow_groups, source, scene, wanted, state):
-        for g in range(GROUPS):
-            first, count = group_rows(source.order, number, g)
-            if count != ZERO_U64:
-                store_group(packet, g, state + _RAYS_AT, first, count, source, scene, wanted)
-        return True
-
-    return PacketAnswer(begin, finish, _STATE_BYTES)
+@device
+def _begin_nearest(packet, number, slow_groups, source, wanted, state):
+    leaf = _leaf(nearest_kind(wanted.wants_any), state)
+    return _load_rays(leaf, packet, number, slow_groups, source)
 
 
-# All hits
+@device
+def _store_nearest(packet, number, slow_groups, source, scene, wanted, state):
+    leaf = _leaf(nearest_kind(wanted.wants_any), state)
+    for g in range(GROUPS):
+        first, count = group_rows(source.order, number, g)
+        if count != ZERO_U64:
+            trace_alone(leaf, packet, g, count, source.frame, scene)
+            store_nearest(leaf, packet, g, first, count, scene, wanted)
+    return True
 
 
 @device
 def _begin_rows(packet, number, slow_groups, source, wanted, state):
     hits = start_rows(number, slow_groups, source, wanted, state)
-    kind = collecting_kind(wanted.surfaces, hits)
-    return _load_rays(packet, number, slow_groups, source, state, kind)
+    leaf = _leaf(collecting_kind(wanted.surfaces, hits), state)
+    return _load_rays(leaf, packet, number, slow_groups, source)
 
 
 @device
 def _store_rows(packet, number, slow_groups, source, scene, wanted, state):
+    leaf = _leaf(collecting_kind(wanted.surfaces, Collector(state)), state)
     for g in range(GROUPS):
-        first, count = group_rows(source.order, number, g)
-        if count != ZERO_U64 and rays_alone(state + _RAYS_AT, g) != ZERO_U64:
-            for k in range(count):
-                _collect_alone(g, k, first + k, source, scene, wanted.surfaces, state)
+        _, count = group_rows(source.order, number, g)
+        trace_alone(leaf, packet, g, count, source.frame, scene)
     return _store_found(packet, number, slow_groups, source, scene, wanted, state)
-
-
-@device_call
-def _collect_alone(g, k, i, source, scene, surfaces, state):
-    """Collect the hits of ray i, if it is traced by itself."""
-    no_inline()
-    hits, lanes = Collector(state), Float64Lanes(state + _RAYS_AT, g)
-    if lanes.is_alone[k] == np.int32(0) or not has_room(hits):
-        return
-    memory, first, found = scratch(MEMORY_BYTES), hits.count, Buffers(hits.buffers).found
-    half, rest = lanes.half[k], lanes.rest[k]
-    if hits.in_world == ZERO_U64:  # sorted before they are reported
-        half, rest = _UNIT, _UNIT
-    ray = ray_of_line(exact_ray(lanes, k), half, rest, np.uint8(0), source.frame)
-    rows = HitAddresses(found.t, found.u, found.v, found.prim_id)
-    # If all rows become full, there is no room for the packet.
-    own, room = (memory, memory + np.uint64(STACK_BYTES)), hits.capacity - first
-    hits.count += _keep(scene, ray, room, rows, first, surfaces, own)
-    for row in range(first, hits.count):
-        store(found.ray + (row << SHIFT_32), hits.first_rays[g] + np.int32(k))
 
 
 @device
@@ -223,10 +193,8 @@ def _lengths_of(packet, g, lane, slow_groups, state):
     return Lengths(lanes.half[lane], lanes.rest[lane])
 
 
-_keep = tree_searches.keep
 _store_found = Copies("of_float64", {**FLOAT64_ROWS, row_transform: _lengths_of}).of(ROWS.finish)
 
 #: Kernels for a `Float64Packets`, as those of `packets.queries`.
-trace_packets = packet_kernel(TREES, _answer(nearest_kind, store_nearest))
-FLOAT64_COUNTS = _answer(counting_kind, store_counts)
+trace_packets = packet_kernel(TREES, PacketAnswer(_begin_nearest, _store_nearest, _STATE_BYTES))
 FLOAT64_ALL = PacketAnswer(_begin_rows, _store_rows, _STATE_BYTES)

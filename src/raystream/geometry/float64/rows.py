@@ -9,7 +9,7 @@ from raystream.jit.constants import SHIFT_32, SHIFT_64
 from raystream.jit.copies import Copies
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
-from raystream.kernels.search import get_hit, keep_hit, put_hit, sort_hits, t_of
+from raystream.kernels.search import get_hit, offer, put_hit, sort_hits, t_of
 from raystream.structures.bvh.packets import hits as packet_hits
 from raystream.structures.bvh.packets import multi_hit as packet_multi_hit
 
@@ -48,7 +48,7 @@ def _number_at(column, row):
 
 
 @device
-def _tell_row(t, row, lengths):
+def tell_row(t, row, lengths):
     """Convert the t of a row to lengths of the given direction; see `ray.reported`."""
     at = _number_at(t, row)
     store(at, reported(load(np.float64, at), lengths))
@@ -60,12 +60,12 @@ FLOAT64_ROWS = {
     put_hit: put_row,
     get_hit: get_row,
     packet_hits.number_at: _number_at,
-    packet_multi_hit.tell_row: _tell_row,
+    packet_multi_hit.tell_row: tell_row,
 }
 _of_float64 = Copies("of_float64", FLOAT64_ROWS).of
 
-#: Keep a hit if it is among the nearest: `kernels.search.keep_hit`.
-keep_row = _of_float64(keep_hit)
+#: Keep or count a hit: `kernels.search.offer`.
+offer_row = _of_float64(offer)
 
 #: Sort rows by t, then prim_id: `kernels.search.sort_hits`.
 sort_rows = _of_float64(sort_hits)

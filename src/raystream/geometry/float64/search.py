@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.geometry.float64.exact import solve_exactly
-from raystream.jit.constants import INF_F64, ZERO_U64
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 
@@ -24,23 +24,24 @@ class Nearest(NamedTuple):
 
     Attributes
     ----------
-    low, high : float64
-        The distance lies between; inf without a hit. Equal if it was resolved.
+    low, t_far : float64
+        The distance lies between; hits beyond are not wanted. Equal if it was resolved. Without a
+        hit, both are the end of the ray's interval.
     triangle : uint64
-        Address of the triangle's first number.
+        Address of the triangle's first number; 0 without a hit.
     prim_id : int32
     """
 
     low: np.float64
-    high: np.float64
+    t_far: np.float64
     triangle: np.uint64
     prim_id: np.int32
 
 
 @device
-def no_hit():
+def no_hit(t_max):
     """No hit yet."""
-    return Nearest(INF_F64, INF_F64, ZERO_U64, NO_PRIM)
+    return Nearest(t_max, t_max, ZERO_U64, NO_PRIM)
 
 
 @device
@@ -59,14 +60,14 @@ def _break_tie(line, best, span, triangle, prim_id):
         if not is_hit or t < line.t_min or t > line.t_max:
             return best
         low, high = t, t
-    if low > best.high:
+    if low > best.t_far:
         return best
     if high < best.low:
         return Nearest(low, high, triangle, prim_id)
     if low != high:
         _, t, _, _ = solve_exactly(line, triangle, False)
         low, high = t, t
-    if best.low != best.high:
+    if best.low != best.t_far:
         _, t, _, _ = solve_exactly(line, best.triangle, False)
         best = Nearest(t, t, best.triangle, best.prim_id)
     if low < best.low or (low == best.low and prim_id < best.prim_id):
@@ -93,7 +94,7 @@ def offer(line, best, span, triangle, prim_id):
     """
     low, high, is_sure = span
     if is_sure and within(line, low, high):
-        if low > best.high:
+        if low > best.t_far:
             return best
         if high < best.low:
             return Nearest(low, high, triangle, prim_id)

@@ -1,6 +1,6 @@
 """The traversals of single rays in float64: of the wide tree, and of all triangles.
 
-They go from block to block; what happens there is up to the query, a function of the block.
+They go from block to block; what happens to the hits there is up to the query.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.geometry.float64.block import BLOCK, leaf_end
+from raystream.geometry.float64.block import BLOCK, block_test, edges_of, leaf_end
 from raystream.geometry.float64.ray import widened_far, widened_near
 from raystream.jit.constants import ZERO_F32, ZERO_F64
 from raystream.jit.cpu import device
@@ -84,76 +84,74 @@ def _enter(node, line, search, t_min, t_far):
     return (keys & _KEY_BITS) | lane_numbers(i32x8), entered
 
 
-def blocks_by(make_walk: Callable[..., Any]) -> Callable[..., Any]:
-    """Make `tree_blocks` for trees of another layout; ``make_walk(interval, visit_leaf)``."""
+@device
+def _interval(line, search):
+    ray, _ = line
+    far = widened_far(search.t_far)
+    # Adding zero turns -0 into 0.
+    return widened_near(ray.line.t_min), far, np.float32(far) + ZERO_F32
 
-    def make_traversal(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
-        @device
-        def interval(line, search):
-            ray, _ = line
-            far = widened_far(far_of(ray, search))
-            # Adding zero turns -0 into 0.
-            return widened_near(ray.line.t_min), far, np.float32(far) + ZERO_F32
+
+def blocks_by(
+    make_walk: Callable[..., Any], enter: Callable[..., Any]
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Make `tree_blocks` for trees of another layout; ``make_walk(interval, enter, visit_leaf)``.
+
+    See `structures.bvh.walks.single.tree_walk`.
+    """
+
+    def make_traversal(take: Callable[..., Any]) -> Callable[..., Any]:
+        test_block = block_test(take)
 
         @device
         def visit_leaf(tree, child, line, search, stack):
-            ray, lanes = line
+            ray, spans = line
             block = leaf_address(tree.leaves, child)
             end = leaf_end(block, child)
             while block != end:
-                search, is_over = visit(block, ray, search, lanes)
+                search, is_over = test_block(search, ray.line, edges_of(block), block, spans)
                 if is_over:
                     return search, True
                 block += BLOCK
             return search, False
 
-        walk_tree = make_walk(interval, visit_leaf)
-
-        @device
-        def walk(tree, ray, search, stack, lanes, wants_any):
-            return walk_tree(tree, (ray, lanes), search, stack, wants_any)
-
-        return walk
+        return make_walk(_interval, enter, visit_leaf)
 
     return make_traversal
 
 
-def _wide_walk(interval: Callable[..., Any], visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
-    return tree_walk(interval, _enter, visit_leaf)
+_of_wide_trees = blocks_by(tree_walk, _enter)
 
 
-def tree_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
+def tree_blocks(take: Callable[..., Any]) -> Callable[..., Any]:
     """Make the traversal of a wide tree.
 
     Parameters
     ----------
-    visit : device function
-        ``visit(block, ray, search, lanes) -> (search, is_over)`` offers the triangles of a block;
-        `lanes` is the address of 64 bytes.
-    far_of : device function
-        ``far_of(ray, search)`` is the distance beyond which no hit is wanted.
+    take : device function
+        See `block.block_test`.
 
     Returns
     -------
     device function
-        ``walk(tree, ray, search, stack, lanes, wants_any) -> search``
+        ``walk(tree, line, search, stack, wants_any) -> search``. `line` has a `Float64Ray`, and
+        the address of 64 bytes. See `walks.single.tree_walk` for the others.
     """
-    return _of_wide_trees(visit, far_of)
+    return _of_wide_trees(take)
 
 
-_of_wide_trees = blocks_by(_wide_walk)
-
-
-def all_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
+def all_blocks(take: Callable[..., Any]) -> Callable[..., Any]:
     """Make the traversal of all blocks; see `tree_blocks`."""
+    test_block = block_test(take)
 
     @device
-    def walk(tree, ray, search, stack, lanes, wants_any):
-        if not ray.line.t_min <= far_of(ray, search):
+    def walk(tree, line, search, stack, wants_any):
+        ray, spans = line
+        if not ray.line.t_min <= search.t_far:
             return search
         block = tree.leaves
         for _ in range(tree.block_count):
-            search, is_over = visit(block, ray, search, lanes)
+            search, is_over = test_block(search, ray.line, edges_of(block), block, spans)
             if is_over:
                 return search
             block += BLOCK
