@@ -22,7 +22,7 @@ from raystream.geometry.float64.block import (
 from raystream.geometry.float64.exact import estimate, solve_exactly
 from raystream.geometry.float64.group_rays import Float64Group, Float64Lanes, exact_ray
 from raystream.geometry.float64.ray import Lengths, reported
-from raystream.geometry.float64.rows import collect, collect_one
+from raystream.geometry.float64.rows import collect_row, collect_rows
 from raystream.geometry.float64.search import exists, within
 from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
@@ -157,7 +157,7 @@ def _take_lanes(leaf, packet, g, hits, triangle, prim_id):
     taken = is_known & (hit.t >= group.t_min) & (hit.t <= group.t_max)
     if any_lane(taken):
         t = _told(hit.t, group, collector)
-        collect(collector, taken, t, hit.u, hit.v, i32x16(prim_id), g)
+        collect_rows(collector, taken, t, hit.u, hit.v, i32x16(prim_id), g)
     return ZERO_U64, mask_bits(is_known)
 
 
@@ -173,7 +173,7 @@ def _take_hit(leaf, packet, g, k, line, span, triangle, prim_id):
     if is_hit and within(line, t, t):
         lanes = Float64Lanes(leaf.rays, g)
         t = _told(t, Lengths(lanes.half[k], lanes.rest[k]), collector)
-        collect_one(collector, t, u, v, prim_id, g, k)
+        collect_row(collector, t, u, v, prim_id, g, k)
 
 
 @device

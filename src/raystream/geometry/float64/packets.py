@@ -24,9 +24,8 @@ from raystream.geometry.float64.leaf import (
     test_one,
 )
 from raystream.geometry.float64.ray import Lengths
-from raystream.geometry.float64.rows import FLOAT64_ROWS
+from raystream.geometry.float64.rows import rows_of_float64
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
-from raystream.jit.copies import Copies
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -193,7 +192,7 @@ def _lengths_of(packet, g, lane, slow_groups, state):
     return Lengths(lanes.half[lane], lanes.rest[lane])
 
 
-_store_found = Copies("of_float64", {**FLOAT64_ROWS, row_transform: _lengths_of}).of(ROWS.finish)
+_store_found = rows_of_float64({row_transform: _lengths_of}).of(ROWS.finish)
 
 #: Kernels for a `Float64Packets`, as those of `packets.queries`.
 trace_packets = packet_kernel(TREES, PacketAnswer(_begin_nearest, _store_nearest, _STATE_BYTES))

@@ -9,7 +9,7 @@ import numpy as np
 
 from raystream.geometry.float64.exact import solve_exactly
 from raystream.geometry.float64.ray import prepare_float64, reported
-from raystream.geometry.float64.rows import offer_row, put_row, sort_rows, tell_row
+from raystream.geometry.float64.rows import offer_row, put_row, sort_rows, tell_float64_row
 from raystream.geometry.float64.search import exists, no_hit, offer
 from raystream.geometry.float64.traversal import STACK_BYTES
 from raystream.jit.constants import INF_F64, ZERO_F64, ZERO_U64
@@ -107,7 +107,7 @@ def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
         sort_rows(goal.hits, goal.first_row, search.hit_count)
         # Distances in lengths of the given direction, last: they may underflow to equal ones.
         for row in range(goal.first_row, goal.first_row + search.hit_count):
-            tell_row(goal.hits.t, row, ray)
+            tell_float64_row(goal.hits.t, row, ray)
         return search.hit_count
 
     return RaySearches(nearest, count, keep, np.float64)
