@@ -29,7 +29,6 @@ from raystream.jit.simd import (
     absolute,
     any_lane,
     count_trailing_zeros,
-    f64x4,
     fma,
     load,
     mask_bits,
@@ -74,23 +73,36 @@ def leaf_end(first, child):
 
 
 @device
-def triangle_edges(a, b, c):
-    """The edges at vertex 0, their cross product, and the largest of their components.
+def _load_corner(number, at):
+    return load(number, at), load(number, at + AXIS), load(number, at + (AXIS + AXIS))
 
-    Parameters
-    ----------
-    a, b, c : triple of float64 numbers or vectors
+
+@device
+def load_corners(number, at):
+    """The vertices of a triangle (of float64), or of the four of a block (f64x4)."""
+    b, c = _load_corner(number, at + SECOND), _load_corner(number, at + THIRD)
+    return _load_corner(number, at), b, c
+
+
+@device
+def load_edges(number, at):
+    """What tests need of a triangle, or of four; see `load_corners`.
 
     Returns
     -------
+    a : triple
+        Vertex 0.
     p, q, n : triple
+        The edges at vertex 0, and their cross product.
     h : number or vector
+        The largest component of the edges.
     """
+    a, b, c = load_corners(number, at)
     px, py, pz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     qx, qy, qz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     n = fma(py, qz, -(pz * qy)), fma(pz, qx, -(px * qz)), fma(px, qy, -(py * qx))
     p, q = (px, py, pz), (qx, qy, qz)
-    return p, q, n, maximum(largest(p), largest(q))
+    return a, p, q, n, maximum(largest(p), largest(q))
 
 
 @device
@@ -123,15 +135,13 @@ def _both(first, second):
 
 
 @device
-def test_lanes(a, edges, origin, direction, t_min, t_far, allowed):
+def test_lanes(edges, origin, direction, t_min, t_far, allowed):
     """Test rays against triangles: a ray against four, or 16 rays against one.
 
     Parameters
     ----------
-    a : triple of float64 numbers or vectors
-        Vertex 0.
     edges : tuple
-        See `triangle_edges`.
+        See `load_edges`.
     origin, direction : triple of float64 numbers or vectors
     t_min, t_far : float64 number or vector
         Hits are wanted in this interval.
@@ -142,7 +152,7 @@ def test_lanes(a, edges, origin, direction, t_min, t_far, allowed):
     -------
     PossibleHits
     """
-    p, q, n, h = edges
+    a, p, q, n, h = edges
     dx, dy, dz = direction
     # Step 1: three numbers in proportion to the weights, and their sum with a smaller error.
     ax, ay, az = corner = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
@@ -171,25 +181,6 @@ def test_lanes(a, edges, origin, direction, t_min, t_far, allowed):
     return PossibleHits(found, is_clear & ((low > error) | (high < -error)), least, most)
 
 
-@device
-def load_corner(at):
-    """A vertex of one triangle."""
-    return load(np.float64, at), load(np.float64, at + AXIS), load(np.float64, at + (AXIS + AXIS))
-
-
-@device
-def load_corners(at):
-    """A vertex of the four triangles of a block."""
-    return load(f64x4, at), load(f64x4, at + AXIS), load(f64x4, at + (AXIS + AXIS))
-
-
-@device
-def edges_of(block):
-    """Vertices 0 of a block's triangles, and their edges: see `triangle_edges`."""
-    a = load_corners(block)
-    return a, triangle_edges(a, load_corners(block + SECOND), load_corners(block + THIRD))
-
-
 def block_test(take: Callable[..., Any]) -> Callable[..., Any]:
     """Make the test of a block's triangles against a ray, for what becomes of its hits.
 
@@ -203,16 +194,14 @@ def block_test(take: Callable[..., Any]) -> Callable[..., Any]:
     Returns
     -------
     device function
-        ``test(search, line, triangles, block, spans) -> (search, is_over)``: the search and the
-        `Line` of a ray, the triangles, see `edges_of`, of the block at an address, and the address
+        ``test(search, line, edges, block, spans) -> (search, is_over)``: the search and the `Line`
+        of a ray, the four triangles, see `load_edges`, of the block at an address, and the address
         of 64 bytes.
     """
 
     @device
-    def test(search, line, triangles, block, spans):
-        a, edges = triangles
-        origin, direction = line.origin, line.direction
-        hits = test_lanes(a, edges, origin, direction, line.t_min, search.t_far, None)
+    def test(search, line, edges, block, spans):
+        hits = test_lanes(edges, line.origin, line.direction, line.t_min, search.t_far, None)
         found, sure = mask_bits(hits.found), mask_bits(hits.sure)
         if found != ZERO_U64:
             store(spans, hits.low)

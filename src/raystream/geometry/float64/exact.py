@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.geometry.float64.block import SECOND, THIRD, load_corner
+from raystream.geometry.float64.block import load_corners
 from raystream.geometry.float64.double_numbers import (
     add_double,
     cross_double,
@@ -187,7 +187,7 @@ def solve_exactly(line, triangle, surfaces):
     """
     no_inline()
     o, d = line.origin, line.direction
-    a, b, c = load_corner(triangle), load_corner(triangle + SECOND), load_corner(triangle + THIRD)
+    a, b, c = load_corners(np.float64, triangle)
     corner, p, q, weights, is_sure, t, is_rounded, _, _, _ = estimate(a, b, c, o, d)
     weight_u, weight_v, weight_w, inverse = weights
     if not is_sure:

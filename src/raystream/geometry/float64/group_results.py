@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.core.rays import VALID
-from raystream.geometry.float64.block import SECOND, THIRD
+from raystream.geometry.float64.block import AXIS, SECOND, THIRD
 from raystream.geometry.float64.exact import estimate
 from raystream.geometry.float64.group_rays import Float64Group, Float64Lanes, exact_ray, nearest_of
 from raystream.geometry.float64.leaf import search_lane, take_in_lane
@@ -76,14 +76,9 @@ def trace_alone(leaf, packet, g, count, frame, tree):
 
 
 @device
-def _vertex(leaves, index, at):
-    step = np.int64(4)
-    base = leaves + at
-    return (
-        gather(np.float64, base, index),
-        gather(np.float64, base, index + step),
-        gather(np.float64, base, index + (step + step)),
-    )
+def _gather_corner(at, index):
+    x, y = gather(np.float64, at, index), gather(np.float64, at + AXIS, index)
+    return x, y, gather(np.float64, at + (AXIS + AXIS), index)
 
 
 @device
@@ -101,9 +96,9 @@ def _store_lanes(group, first, tree, out):
         return ZERO_U64
     index = select(is_hit, (triangle - np.int64(tree.leaves)) >> _SHIFT64, i64x16(_NO_TRIANGLE))
     hit = estimate(
-        _vertex(tree.leaves, index, ZERO_U64),
-        _vertex(tree.leaves, index, SECOND),
-        _vertex(tree.leaves, index, THIRD),
+        _gather_corner(tree.leaves, index),
+        _gather_corner(tree.leaves + SECOND, index),
+        _gather_corner(tree.leaves + THIRD, index),
         three(group.origin),
         three(group.direction),
     )

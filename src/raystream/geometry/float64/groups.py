@@ -11,16 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.geometry.float64.block import (
-    BLOCK,
-    PRIM_IDS,
-    SECOND,
-    THIRD,
-    edges_of,
-    leaf_end,
-    load_corner,
-    triangle_edges,
-)
+from raystream.geometry.float64.block import BLOCK, PRIM_IDS, leaf_end, load_edges
 from raystream.geometry.float64.group_rays import GROUP_BYTES, load_rays
 from raystream.geometry.float64.group_results import store_nearest, trace_alone
 from raystream.geometry.float64.leaf import (
@@ -35,6 +26,7 @@ from raystream.jit.constants import BYTES_64, ONE_U64, SHIFT_32, SHIFT_64, ZERO_
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
+    f64x4,
     load,
     scratch,
     store,
@@ -116,11 +108,10 @@ def _test_groups(leaf, block, groups, count, memory):
         if prim_id < np.int32(0):
             break
         triangle = block + (lane << SHIFT_64)
-        a = load_corner(triangle)
-        shape = a, triangle_edges(a, load_corner(triangle + SECOND), load_corner(triangle + THIRD))
+        edges = load_edges(np.float64, triangle)
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-            bits = test_group(leaf, memory, g, None, triangle, shape, prim_id)
+            bits = test_group(leaf, memory, g, None, triangle, edges, prim_id)
             hit_count += np.uint64(bits != ZERO_U64)
             _copy_limits(memory, g, bits)
     return hit_count
@@ -129,11 +120,11 @@ def _test_groups(leaf, block, groups, count, memory):
 @device
 def _test_rays(leaf, block, rays, count, memory):
     """Test a block against the rays of a list; likewise."""
-    hit_count, triangles = ZERO_U64, edges_of(block)
+    hit_count, edges = ZERO_U64, load_edges(f64x4, block)
     for j in range(count):
         number = np.uint64(load(np.uint32, rays + j * LANE))
         g, k = number >> LANE_SHIFT, number & LAST_LANE
-        if test_one(leaf, memory, g, k, block, triangles):
+        if test_one(leaf, memory, g, k, block, edges):
             hit_count += ONE_U64
             _copy_limits(memory, g, ONE_U64 << k)
     return hit_count

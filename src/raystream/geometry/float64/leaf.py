@@ -11,14 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.geometry.float64.best import certain_hits, offer_lanes, offer_one
-from raystream.geometry.float64.block import (
-    SECOND,
-    THIRD,
-    block_test,
-    load_corner,
-    span_of,
-    test_lanes,
-)
+from raystream.geometry.float64.block import block_test, load_corners, span_of, test_lanes
 from raystream.geometry.float64.exact import estimate, solve_exactly
 from raystream.geometry.float64.group_rays import Float64Group, Float64Lanes, exact_ray
 from raystream.geometry.float64.ray import Lengths, reported
@@ -65,14 +58,14 @@ class Float64Leaf(NamedTuple):
 
 
 @device
-def test_group(leaf, packet, g, allowed, triangle, shape, prim_id):
-    """Test a triangle, see `block.edges_of`, against rays of a group: all, if `allowed` is None.
+def test_group(leaf, packet, g, allowed, triangle, edges, prim_id):
+    """Test a triangle, see `block.load_edges`, against rays of a group: all, if `allowed` is None.
 
     Returns bits of the rays whose searches are shorter now.
     """
-    group, (a, edges) = Float64Group(leaf.rays, g), shape
+    group = Float64Group(leaf.rays, g)
     origin, direction = three(group.origin), three(group.direction)
-    hits = test_lanes(a, edges, origin, direction, group.t_min, group.far, allowed)
+    hits = test_lanes(edges, origin, direction, group.t_min, group.far, allowed)
     if not any_lane(hits.found):
         return ZERO_U64
     # Step 1: what needs no exact arithmetic, 16 at a time.
@@ -123,13 +116,13 @@ _test_block = block_test(take_in_lane)
 
 
 @device
-def test_one(leaf, packet, g, k, block, triangles):
-    """Test a block's triangles, see `block.edges_of`, against a ray of a group.
+def test_one(leaf, packet, g, k, block, edges):
+    """Test a block's triangles, see `block.load_edges`, against a ray of a group.
 
     Returns whether its search is shorter now.
     """
     search, line = search_lane(leaf, packet, g, k), exact_ray(Float64Lanes(leaf.rays, g), k)
-    found, _ = _test_block(search, line, triangles, block, leaf.spans)
+    found, _ = _test_block(search, line, edges, block, leaf.spans)
     return found.t_far != search.t_far
 
 
@@ -150,8 +143,8 @@ def _take_lanes(leaf, packet, g, hits, triangle, prim_id):
         counts, taken = Counts(packet, g), certain_hits(group, hits)
         counts.count = select(taken, counts.count + np.int32(1), counts.count)
         return ZERO_U64, mask_bits(taken)
-    b, c = load_corner(triangle + SECOND), load_corner(triangle + THIRD)
-    hit = estimate(load_corner(triangle), b, c, three(group.origin), three(group.direction))
+    corners = load_corners(np.float64, triangle)
+    hit = estimate(*corners, three(group.origin), three(group.direction))
     # Those whose distances are known to the last digit without exact arithmetic.
     is_known = hits.found & hits.sure & hit.is_known
     taken = is_known & (hit.t >= group.t_min) & (hit.t <= group.t_max)

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.geometry.float64.block import BLOCK, PRIM_IDS, edges_of, leaf_end
+from raystream.geometry.float64.block import BLOCK, PRIM_IDS, leaf_end, load_edges
 from raystream.geometry.float64.group_rays import (
     GROUP_BYTES,
     Float64Lanes,
     load_rays,
-    put_triple,
 )
 from raystream.geometry.float64.group_results import store_nearest, trace_alone
 from raystream.geometry.float64.leaf import (
@@ -29,13 +28,12 @@ from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
+    f64x4,
     lanes_from_bits,
     load,
     mask16,
     popcount,
-    scratch,
 )
-from raystream.jit.views import view
 from raystream.structures.bvh.leaf_kinds import no_prefetch
 from raystream.structures.bvh.node_layout import leaf_address
 from raystream.structures.bvh.packets.hits import Collector
@@ -47,18 +45,11 @@ from raystream.structures.bvh.packets.rays import (
     GROUPS,
     GroupLanes,
     group_rows,
-    three,
 )
 
 #: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
 #: against one triangle.
 _FEW = np.uint64(6)
-
-#: What the tests take of a block's triangles, see `block.edges_of`; and with a lane index.
-_EDGES = np.dtype([*((name, "f8", (3, 4)) for name in "apqn"), ("h", "f8", 4)])
-_EDGES_BYTES = _EDGES.itemsize
-_Edges = view(_EDGES)
-_EdgesLanes = view([*((name, "f8", (3, 4, 1)) for name in "apqn"), ("h", "f8", (4, 1))])
 
 #: Where a packet's groups in float64 are in the state of an answer: behind that of `ROWS`. Behind
 #: them, the memory of tests.
@@ -68,29 +59,22 @@ _STATE_BYTES = int(_SPANS_AT) + SPAN_BYTES
 
 _LIMITS_AT = np.uint64(GROUP.fields["t_active"][1])  # type: ignore[index]
 _BLOCK_LANES = np.uint64(4)
-_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 
 
 # Leaves
 
 
 @device
-def _of_lane(rows, lane):
-    return rows[_X, lane], rows[_Y, lane], rows[_Z, lane]
-
-
-@device
-def _test_triangles(leaf, packet, g, bits, block, edges):
+def _test_triangles(leaf, packet, g, bits, block):
     """Test a block against rays of a group, 16 at once; returns whether a search is shorter now."""
     has_hit = False
     for lane in range(_BLOCK_LANES):
         prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
         if prim_id < np.int32(0):
             break
-        p, q, n = _of_lane(edges.p, lane), _of_lane(edges.q, lane), _of_lane(edges.n, lane)
-        shape = _of_lane(edges.a, lane), (p, q, n, edges.h[lane])
         triangle, allowed = block + (lane << SHIFT_64), lanes_from_bits(mask16, bits)
-        kept = test_group(leaf, packet, g, allowed, triangle, shape, prim_id)
+        edges = load_edges(np.float64, triangle)
+        kept = test_group(leaf, packet, g, allowed, triangle, edges, prim_id)
         has_hit |= kept != ZERO_U64
     return has_hit
 
@@ -99,27 +83,21 @@ def _test_triangles(leaf, packet, g, bits, block, edges):
 def _test_rays(leaf, packet, g, bits, block, edges):
     """Test a block against rays of a group one by one; returns whether a search is shorter now."""
     has_hit = False
-    triangles = three(edges.a), (three(edges.p), three(edges.q), three(edges.n), edges.h)
     while bits != ZERO_U64:
         k = count_trailing_zeros(bits)
         bits &= bits - ONE_U64
-        has_hit |= test_one(leaf, packet, g, k, block, triangles)
+        has_hit |= test_one(leaf, packet, g, k, block, edges)
     return has_hit
 
 
 @device
 def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
     """Test a leaf in float64; see `packets.leaf.visit_leaf`."""
-    at, has_hit = scratch(_EDGES_BYTES), False
-    edges, lanes = _Edges(at), _EdgesLanes(at)
+    has_hit = False
     block = leaf_address(leaves, child)
     end = leaf_end(block, child)
     while block != end:
-        a, (p, q, n, edges.h) = edges_of(block)
-        put_triple(edges.a, a)
-        put_triple(edges.p, p)
-        put_triple(edges.q, q)
-        put_triple(edges.n, n)
+        edges = load_edges(f64x4, block)
         for g in range(groups.first, groups.last + ONE_U64):
             bits = entering_rays(packet, g, box, rays)
             if bits == ZERO_U64:
@@ -127,7 +105,7 @@ def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
             if popcount(bits) <= _FEW:
                 has_hit |= _test_rays(leaf, packet, g, bits, block, edges)
             else:
-                has_hit |= _test_triangles(leaf, packet, g, bits, block, lanes)
+                has_hit |= _test_triangles(leaf, packet, g, bits, block)
         block += BLOCK
     return has_hit
 

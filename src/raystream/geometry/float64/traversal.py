@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.geometry.float64.block import BLOCK, block_test, edges_of, leaf_end
+from raystream.geometry.float64.block import BLOCK, block_test, leaf_end, load_edges
 from raystream.geometry.float64.ray import widened_far, widened_near
 from raystream.jit.constants import ZERO_F32, ZERO_F64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     f32x8,
+    f64x4,
     f64x8,
     float_as_bits,
     fma,
@@ -109,7 +110,8 @@ def blocks_by(
             block = leaf_address(tree.leaves, child)
             end = leaf_end(block, child)
             while block != end:
-                search, is_over = test_block(search, ray.line, edges_of(block), block, spans)
+                edges = load_edges(f64x4, block)
+                search, is_over = test_block(search, ray.line, edges, block, spans)
                 if is_over:
                     return search, True
                 block += BLOCK
@@ -151,7 +153,8 @@ def all_blocks(take: Callable[..., Any]) -> Callable[..., Any]:
             return search
         block = tree.leaves
         for _ in range(tree.block_count):
-            search, is_over = test_block(search, ray.line, edges_of(block), block, spans)
+            edges = load_edges(f64x4, block)
+            search, is_over = test_block(search, ray.line, edges, block, spans)
             if is_over:
                 return search
             block += BLOCK
