@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.geometry.float64.group_rays import Float64Group, Float64Lanes, nearest_of
-from raystream.geometry.float64.search import exists, offer
+from raystream.geometry.float64.search import exists, offer, within
 from raystream.jit.constants import INF_F32, INF_F64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
@@ -53,8 +53,7 @@ def _limits_of(leaf, packet, g):
 @device
 def certain_hits(group, hits):
     """The mask of the `PossibleHits` of a group that are in their rays' intervals for sure."""
-    is_within = (hits.low >= group.t_min) & (hits.high <= group.t_max)
-    return hits.found & hits.sure & is_within
+    return hits.found & hits.sure & within(group, hits.low, hits.high)
 
 
 @device

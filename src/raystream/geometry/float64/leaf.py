@@ -147,7 +147,7 @@ def _take_lanes(leaf, packet, g, hits, triangle, prim_id):
     hit = estimate(*corners, three(group.origin), three(group.direction))
     # Those whose distances are known to the last digit without exact arithmetic.
     is_known = hits.found & hits.sure & hit.is_known
-    taken = is_known & (hit.t >= group.t_min) & (hit.t <= group.t_max)
+    taken = is_known & within(group, hit.t, hit.t)
     if any_lane(taken):
         t = _told(hit.t, group, collector)
         collect_rows(collector, taken, t, hit.u, hit.v, i32x16(prim_id), g)

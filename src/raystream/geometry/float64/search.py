@@ -46,8 +46,11 @@ def no_hit(t_max):
 
 @device
 def within(line, low, high):
-    """Whether a distance between `low` and `high` is in the ray's interval for sure."""
-    return low >= line.t_min and high <= line.t_max
+    """Whether a distance between `low` and `high` is in the ray's interval for sure.
+
+    `line` is a `Line`, or a group of rays, with vectors of distances.
+    """
+    return (low >= line.t_min) & (high <= line.t_max)
 
 
 @device_call
@@ -57,7 +60,7 @@ def _break_tie(line, best, span, triangle, prim_id):
     low, high, is_sure = span
     if not is_sure or not within(line, low, high):
         is_hit, t, _, _ = solve_exactly(line, triangle, False)
-        if not is_hit or t < line.t_min or t > line.t_max:
+        if not (is_hit and within(line, t, t)):
             return best
         low, high = t, t
     if low > best.t_far:
@@ -102,15 +105,15 @@ def offer(line, best, span, triangle, prim_id):
 
 
 @device_call
-def is_counted(line, triangle, surfaces):
+def _is_counted(line, triangle, surfaces):
     """Whether a triangle that may be hit is hit, in the ray's interval."""
     no_inline()
     is_hit, t, _, _ = solve_exactly(line, triangle, surfaces)
-    return is_hit and t >= line.t_min and t <= line.t_max
+    return is_hit and within(line, t, t)
 
 
 @device
 def exists(line, span, triangle, surfaces):
     """The same for a hit with a `span`, see `offer`: exactly only if it is in doubt."""
     low, high, is_sure = span
-    return (is_sure and within(line, low, high)) or is_counted(line, triangle, surfaces)
+    return (is_sure and within(line, low, high)) or _is_counted(line, triangle, surfaces)

@@ -96,9 +96,21 @@ def _interval(line, search):
 def blocks_by(
     make_walk: Callable[..., Any], enter: Callable[..., Any]
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Make `tree_blocks` for trees of another layout; ``make_walk(interval, enter, visit_leaf)``.
+    """Make a maker of traversals of trees.
 
-    See `structures.bvh.walks.single.tree_walk`.
+    Parameters
+    ----------
+    make_walk : callable
+        As `structures.bvh.walks.single.tree_walk`.
+    enter : device function
+        See there.
+
+    Returns
+    -------
+    callable
+        ``make_traversal(take)``, for what becomes of the hits, see `block.block_test`, makes a
+        device function ``walk(tree, line, search, stack, wants_any) -> search``. `line` has a
+        `Float64Ray`, and the address of 64 bytes. See `tree_walk` for the others.
     """
 
     def make_traversal(take: Callable[..., Any]) -> Callable[..., Any]:
@@ -122,28 +134,12 @@ def blocks_by(
     return make_traversal
 
 
-_of_wide_trees = blocks_by(tree_walk, _enter)
-
-
-def tree_blocks(take: Callable[..., Any]) -> Callable[..., Any]:
-    """Make the traversal of a wide tree.
-
-    Parameters
-    ----------
-    take : device function
-        See `block.block_test`.
-
-    Returns
-    -------
-    device function
-        ``walk(tree, line, search, stack, wants_any) -> search``. `line` has a `Float64Ray`, and
-        the address of 64 bytes. See `walks.single.tree_walk` for the others.
-    """
-    return _of_wide_trees(take)
+#: Makes traversals of wide trees.
+tree_blocks = blocks_by(tree_walk, _enter)
 
 
 def all_blocks(take: Callable[..., Any]) -> Callable[..., Any]:
-    """Make the traversal of all blocks; see `tree_blocks`."""
+    """Make the traversal of all blocks; see `blocks_by`."""
     test_block = block_test(take)
 
     @device
