@@ -24,23 +24,11 @@ from raystream.geometry.float64.leaf import (
 )
 from raystream.jit.constants import BYTES_64, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import (
-    count_trailing_zeros,
-    f64x4,
-    load,
-    scratch,
-    store,
-)
+from raystream.jit.simd import count_trailing_zeros, f64x4, load, scratch, store
 from raystream.structures.bvh.leaf_kinds import CountsLanes, no_prefetch
 from raystream.structures.bvh.node_layout import LANE, leaf_address
 from raystream.structures.bvh.packets.hits import COLLECTOR_BYTES, Collector
-from raystream.structures.bvh.packets.rays import (
-    GROUP,
-    GROUPS,
-    PACKET_RAYS,
-    GroupLanes,
-    group_rows,
-)
+from raystream.structures.bvh.packets.rays import GROUP, GROUPS, PACKET_RAYS, GroupLanes, group_rows
 from raystream.structures.bvh.ray_groups.leaf import SMALL_BYTES, Small
 from raystream.structures.bvh.ray_groups.queries import group_kernel
 from raystream.structures.bvh.ray_groups.rays import (
@@ -168,6 +156,7 @@ def _nearest_leaf(wanted, memory):
 
 @device
 def _counting_leaf(wanted, memory):
+    # Of a collector, counting needs nothing else.
     hits = Collector(scratch(COLLECTOR_BYTES))
     hits.is_counting = ONE_U64
     return _leaf(collecting_kind(wanted.surfaces, hits), memory)

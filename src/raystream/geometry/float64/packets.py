@@ -8,11 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.geometry.float64.block import BLOCK, PRIM_IDS, leaf_end, load_edges
-from raystream.geometry.float64.group_rays import (
-    GROUP_BYTES,
-    Float64Lanes,
-    load_rays,
-)
+from raystream.geometry.float64.group_rays import GROUP_BYTES, Float64Lanes, load_rays
 from raystream.geometry.float64.group_results import store_nearest, trace_alone
 from raystream.geometry.float64.leaf import (
     SPAN_BYTES,
@@ -26,26 +22,14 @@ from raystream.geometry.float64.ray import Lengths
 from raystream.geometry.float64.rows import rows_of_float64
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import (
-    count_trailing_zeros,
-    f64x4,
-    lanes_from_bits,
-    load,
-    mask16,
-    popcount,
-)
+from raystream.jit.simd import count_trailing_zeros, f64x4, lanes_from_bits, load, mask16, popcount
 from raystream.structures.bvh.leaf_kinds import no_prefetch
 from raystream.structures.bvh.node_layout import leaf_address
 from raystream.structures.bvh.packets.hits import Collector
 from raystream.structures.bvh.packets.leaf import entering_rays
 from raystream.structures.bvh.packets.multi_hit import ROWS, row_transform, start_rows
 from raystream.structures.bvh.packets.queries import TREES, PacketAnswer, packet_kernel
-from raystream.structures.bvh.packets.rays import (
-    GROUP,
-    GROUPS,
-    GroupLanes,
-    group_rows,
-)
+from raystream.structures.bvh.packets.rays import GROUP, GROUPS, GroupLanes, group_rows
 
 #: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
 #: against one triangle.
@@ -115,13 +99,14 @@ def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
 
 @device
 def _leaf(kind, state):
+    """The leaves of a packet; they are made once to load and trace it, and once for its results."""
     rays, spans = state + _RAYS_AT, state + _SPANS_AT
     return Float64Leaf(_visit_leaf, no_prefetch, kind, rays, _LIMITS_AT, spans)
 
 
 @device
 def _load_rays(leaf, packet, number, slow_groups, source):
-    """Load the rays of a packet in float64, after `load_packet`."""
+    """Load the rays of a packet in float64, after `load_packet`; returns its leaves."""
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
         if count != ZERO_U64:

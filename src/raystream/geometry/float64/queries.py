@@ -65,13 +65,9 @@ def _take_hit(search, line, span, triangle, prim_id):
 @device
 def _offer_to(hits, search, line, span, triangle, prim_id):
     """Count a hit, or keep it if it is among the nearest, in a `kernels.search.Search`."""
+    t = u = v = ZERO_F64
     if hits is None:
-        is_hit, t, u, v = (
-            exists(line, span, triangle, search.surfaces),
-            ZERO_F64,
-            ZERO_F64,
-            ZERO_F64,
-        )
+        is_hit = exists(line, span, triangle, search.surfaces)
     else:
         is_hit, t, u, v = solve_exactly(line, triangle, search.surfaces)
         is_hit = is_hit and t >= search.t_min and t <= search.t_far
