@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.spawn import side_of, size_of
-from raystream.core.triangles import MAX_COORDINATE, Triangles, local_frame, splits_of
+from raystream.core.triangles import (
+    Triangles,
+    finite_bounds,
+    local_frame,
+    splits_of,
+    usable_vertices,
+)
 
 if TYPE_CHECKING:
     from raystream.core.hits import HitColumns
@@ -64,30 +70,19 @@ class Float64Triangles(Triangles):
                 *(f.astype(np.int64) + n for (_, f), n in zip(meshes, firsts, strict=False)),
             ]
         )
-        with np.errstate(invalid="ignore"):
-            is_usable = (np.abs(vertices) <= MAX_COORDINATE).all(axis=1)
+        is_usable = usable_vertices(vertices)
         vertices[~is_usable] = np.nan
         is_finite = is_usable[faces].all(axis=1)
-        used = np.zeros(len(vertices), bool)
-        used[faces[is_finite]] = True
-        points = vertices[used]
-        if len(points):
-            center, scale = local_frame(points.min(axis=0), points.max(axis=0))
-        else:
-            center, scale = np.zeros(3), 1.0
+        box = finite_bounds([(vertices, faces)], is_finite, splits)
         made = cls.__new__(cls)
-        made.vertices, made.faces = vertices, faces
-        made.center, made.scale, made.mesh_splits = center, scale, splits
+        made.vertices, made.faces, made.mesh_splits = vertices, faces, splits
+        made.center, made.scale = local_frame(*box)
         made._restore = made._rounded
-        made._corners = corners = made._rounded()
+        made._corners = made._rounded()
         made.nonfinite_count = int(np.count_nonzero(~is_finite))
-        bounds = np.zeros((2, 3), np.float32)
-        if len(points):
-            local = made.to_local(points)
-            bounds[0] = np.nextafter(local.min(axis=0), np.float32(-np.inf))
-            bounds[1] = np.nextafter(local.max(axis=0), np.float32(np.inf))
-        del corners
-        made._set_solid(is_finite, bounds)
+        # Rounding keeps the order of numbers: the box around rounded vertices is this one, rounded.
+        outward = np.array([[-np.inf], [np.inf]], np.float32)
+        made._set_solid(is_finite, np.nextafter(made.to_local(np.array(box)), outward))
         return made
 
     def _rounded(self) -> NDArray[np.float32]:

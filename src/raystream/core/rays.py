@@ -114,7 +114,14 @@ class RayBatch:
         self._count = math.prod(self.shape)
         self.origins = _rows(origins, shape)
         self.directions = _rows(directions, shape)
-        self.limits = _limit("t_min", t_min, self.shape), _limit("t_max", t_max, self.shape)
+        self.limits = self._limits(t_min, t_max, np.float32)
+
+    def _limits(
+        self, t_min: Any, t_max: Any, number: type[np.floating[Any]]
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The limits, rounded to a type of number."""
+        low = _limit("t_min", t_min, self.shape, number)
+        return low, _limit("t_max", t_max, self.shape, number)
 
     @property
     def exact_limits(self) -> Sequence[NDArray[Any]]:
@@ -154,21 +161,27 @@ def _rows(array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     return array if array.ndim == 2 else array.reshape(-1, 3)
 
 
-def _constant(value: float) -> NDArray[np.float32]:
-    array = np.full(1, value, np.float32)
+def _constant(value: float, number: type[np.floating[Any]]) -> NDArray[Any]:
+    array = np.full(1, value, number)
     array.flags.writeable = False
     return array
 
 
-#: The default limits, made once: tracing a small batch takes less time than allocating them.
-DEFAULT_LIMITS = {0.0: _constant(0.0), math.inf: _constant(math.inf)}
+#: The default limits, by type of number and value, made once: tracing a small batch takes less time
+#: than allocating them.
+DEFAULT_LIMITS = {
+    number: {value: _constant(value, number) for value in (0.0, math.inf)}
+    for number in (np.float32, np.float64)
+}
 
 
-def _limit(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    if type(values) is float and values in DEFAULT_LIMITS:
-        return DEFAULT_LIMITS[values]
+def _limit(
+    name: str, values: Any, shape: tuple[int, ...], number: type[np.floating[Any]]
+) -> NDArray[Any]:
+    if type(values) is float and values in DEFAULT_LIMITS[number]:
+        return DEFAULT_LIMITS[number][values]
     with np.errstate(over="ignore"):
-        array = as_real_array(name, values).astype(np.float32, copy=False)
+        array = as_real_array(name, values).astype(number, copy=False)
     if array.ndim == 0:
         return array.reshape(1)
     return broadcast(name, array, shape).reshape(-1)

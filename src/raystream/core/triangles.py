@@ -78,14 +78,14 @@ class Triangles(Store):
     def __init__(self, meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]]) -> None:
         self.mesh_splits = splits_of(meshes)
         count = len(self)
-        usable = [_usable_vertices(vertices) for vertices, _ in meshes]
+        usable = [usable_vertices(vertices) for vertices, _ in meshes]
         finite = np.ones(count, bool)
         for (_, faces), good, first in zip(meshes, usable, self.mesh_splits, strict=False):
             if not good.all():
                 finite[first : first + len(faces)] = good[faces].all(axis=1)
         self.nonfinite_count = count - int(np.count_nonzero(finite))
 
-        low, high = _finite_bounds(meshes, finite, self.mesh_splits)
+        low, high = finite_bounds(meshes, finite, self.mesh_splits)
         self.center, self.scale = local_frame(low, high)
 
         corners = np.empty((count, 3, 3), np.float32)
@@ -297,7 +297,8 @@ def _reach(
     return float(np.maximum(np.abs(low - center), np.abs(high - center)).max())
 
 
-def _usable_vertices(vertices: NDArray[Any]) -> NDArray[np.bool_]:
+def usable_vertices(vertices: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which vertices are finite, and not beyond `MAX_COORDINATE`."""
     if vertices.dtype == np.float32:
         good = np.isfinite(vertices)  # MAX_COORDINATE is beyond float32
     else:
@@ -313,7 +314,7 @@ def _extremes(points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     return axes.min(axis=1), axes.max(axis=1)
 
 
-def _finite_bounds(
+def finite_bounds(
     meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]],
     finite: NDArray[np.bool_],
     splits: NDArray[np.int64],

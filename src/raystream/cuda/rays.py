@@ -125,7 +125,7 @@ def _row_bytes(array: DeviceArray) -> np.uint64:
 @cache
 def usual_limits(gpu: Gpu) -> dict[float, DeviceArray]:
     """The default limits, copied to a device once."""
-    return {value: gpu.upload("limits", one) for value, one in DEFAULT_LIMITS.items()}
+    return {value: gpu.upload("limits", one) for value, one in DEFAULT_LIMITS[np.float32].items()}
 
 
 def place_device_rays(

@@ -124,11 +124,13 @@ def _place(array: NDArray[Any]) -> tuple[np.uint64, np.uint64]:
 
 #: Places of arrays that are never freed, by id: NumPy needs a microsecond for an address.
 _PLACES = {
-    id(array): (np.uint64(array.ctypes.data), np.uint64(0)) for array in DEFAULT_LIMITS.values()
+    id(array): (np.uint64(array.ctypes.data), np.uint64(0))
+    for arrays in DEFAULT_LIMITS.values()
+    for array in arrays.values()
 }
 
 #: The usual strides, for the same reason.
-_STEPS = {step: np.uint64(step) for step in (4, 12, 24)}
+_STEPS = {step: np.uint64(step) for step in (4, 8, 12, 24)}
 
 
 class ResultAddresses(NamedTuple):

@@ -26,11 +26,15 @@ from raystream.kernels.ray import local_limit, world_t
 
 # The nearest hits
 
+#: Of t, u and v in rows of hits: their type, and the shift that a row's number takes. For rows of
+#: float64, functions are copied with others, see `geometry.float64.rows`.
+ROW_NUMBER, ROW_SHIFT = np.float32, np.uint64(2)
+
 
 @device
 def t_of(out, row):
     """Read the t of a row's hit."""
-    return load(np.float32, out.t + (row << SHIFT_32))
+    return load(ROW_NUMBER, out.t + (row << ROW_SHIFT))
 
 
 @device
@@ -41,22 +45,22 @@ def _prim_id_of(out, row):
 @device
 def put_hit(out, row, t, u, v, prim_id):
     """Write a hit to a row."""
-    at = row << SHIFT_32
+    at = row << ROW_SHIFT
     store(out.t + at, t)
     store(out.u + at, u)
     store(out.v + at, v)
-    store(out.prim_id + at, prim_id)
+    store(out.prim_id + (row << SHIFT_32), prim_id)
 
 
 @device
 def get_hit(out, row):
     """Read the hit of a row: t, u, v, prim_id."""
-    at = row << SHIFT_32
+    at = row << ROW_SHIFT
     return (
-        load(np.float32, out.t + at),
-        load(np.float32, out.u + at),
-        load(np.float32, out.v + at),
-        load(np.int32, out.prim_id + at),
+        load(ROW_NUMBER, out.t + at),
+        load(ROW_NUMBER, out.u + at),
+        load(ROW_NUMBER, out.v + at),
+        _prim_id_of(out, row),
     )
 
 

@@ -32,8 +32,10 @@ def _enter(box, line, _search, near, far):
     return t_in, max(t_in, near) <= min(t_out, far)
 
 
-def _walk(interval: Callable[..., Any], visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
-    walk_tree = binary_walk(interval, _enter, one_tree(visit_leaf))
+def _walk(
+    interval: Callable[..., Any], enter: Callable[..., Any], visit_leaf: Callable[..., Any]
+) -> Callable[..., Any]:
+    walk_tree = binary_walk(interval, enter, one_tree(visit_leaf))
 
     @device
     def walk(tree, line, search, stack, _wants_any):
@@ -42,7 +44,7 @@ def _walk(interval: Callable[..., Any], visit_leaf: Callable[..., Any]) -> Calla
     return walk
 
 
-traverse = blocks_by(_walk)
+traverse = blocks_by(_walk, _enter)
 
 
 def lay_out(structure: Float64Bvh) -> LaidOut:

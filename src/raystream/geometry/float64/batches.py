@@ -15,7 +15,7 @@ from raystream.geometry.float64.groups import (
     count_in_groups,
     trace_groups,
 )
-from raystream.geometry.float64.packets import FLOAT64_ALL, FLOAT64_COUNTS, trace_packets
+from raystream.geometry.float64.packets import FLOAT64_ALL, trace_packets
 from raystream.kernels.aligned import array_address
 from raystream.structures.batch_kernels import (
     Batch,
@@ -67,7 +67,7 @@ _KERNELS = {
 }
 
 _NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
-_ALL_HITS = all_hits_kernels(TREES, FLOAT64_ALL, FLOAT64_COUNTS, _source)
+_ALL_HITS = all_hits_kernels(TREES, FLOAT64_ALL, _source)
 _COUNTED = {
     "packet": _ALL_HITS[1],
     "groups": BatchKernel(partial(count_all, count_in_groups, _source), _GROUPS_SIZE),

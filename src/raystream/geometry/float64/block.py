@@ -17,17 +17,18 @@ sum of the three, and 90 h h + 168 M h for the third; 39 M h h for the distance'
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from raystream.geometry.float64.ray import largest
-from raystream.jit.constants import INF_F64, ONE_U64, SHIFT_64, ZERO_U64
+from raystream.jit.constants import INF_F64, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     absolute,
     any_lane,
-    f64x4,
+    count_trailing_zeros,
     fma,
     load,
     mask_bits,
@@ -48,8 +49,8 @@ SECOND = np.uint64(96)
 THIRD = np.uint64(192)
 PRIM_IDS = np.uint64(288)
 
-#: Where `test_block` writes the upper bounds, behind the lower ones.
-HIGH = np.uint64(32)
+#: Where `block_test` writes the upper bounds of distances, behind the lower ones.
+_HIGH = np.uint64(32)
 
 _UNIT = 2.0**-53
 
@@ -72,23 +73,36 @@ def leaf_end(first, child):
 
 
 @device
-def triangle_edges(a, b, c):
-    """The edges at vertex 0, their cross product, and the largest of their components.
+def _load_corner(number, at):
+    return load(number, at), load(number, at + AXIS), load(number, at + (AXIS + AXIS))
 
-    Parameters
-    ----------
-    a, b, c : triple of float64 numbers or vectors
+
+@device
+def load_corners(number, at):
+    """The vertices of a triangle (of float64), or of the four of a block (f64x4)."""
+    b, c = _load_corner(number, at + SECOND), _load_corner(number, at + THIRD)
+    return _load_corner(number, at), b, c
+
+
+@device
+def load_edges(number, at):
+    """What tests need of a triangle, or of four; see `load_corners`.
 
     Returns
     -------
+    a : triple
+        Vertex 0.
     p, q, n : triple
+        The edges at vertex 0, and their cross product.
     h : number or vector
+        The largest component of the edges.
     """
+    a, b, c = load_corners(number, at)
     px, py, pz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     qx, qy, qz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     n = fma(py, qz, -(pz * qy)), fma(pz, qx, -(px * qz)), fma(px, qy, -(py * qx))
     p, q = (px, py, pz), (qx, qy, qz)
-    return p, q, n, maximum(largest(p), largest(q))
+    return a, p, q, n, maximum(largest(p), largest(q))
 
 
 @device
@@ -121,15 +135,13 @@ def _both(first, second):
 
 
 @device
-def test_lanes(a, edges, origin, direction, t_min, t_far, allowed):
+def test_lanes(edges, origin, direction, t_min, t_far, allowed):
     """Test rays against triangles: a ray against four, or 16 rays against one.
 
     Parameters
     ----------
-    a : triple of float64 numbers or vectors
-        Vertex 0.
     edges : tuple
-        See `triangle_edges`.
+        See `load_edges`.
     origin, direction : triple of float64 numbers or vectors
     t_min, t_far : float64 number or vector
         Hits are wanted in this interval.
@@ -140,7 +152,7 @@ def test_lanes(a, edges, origin, direction, t_min, t_far, allowed):
     -------
     PossibleHits
     """
-    p, q, n, h = edges
+    a, p, q, n, h = edges
     dx, dy, dz = direction
     # Step 1: three numbers in proportion to the weights, and their sum with a smaller error.
     ax, ay, az = corner = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
@@ -169,57 +181,42 @@ def test_lanes(a, edges, origin, direction, t_min, t_far, allowed):
     return PossibleHits(found, is_clear & ((low > error) | (high < -error)), least, most)
 
 
-@device
-def load_corner(at):
-    """A vertex of one triangle."""
-    return load(np.float64, at), load(np.float64, at + AXIS), load(np.float64, at + (AXIS + AXIS))
-
-
-@device
-def load_corners(at):
-    """A vertex of the four triangles of a block."""
-    return load(f64x4, at), load(f64x4, at + AXIS), load(f64x4, at + (AXIS + AXIS))
-
-
-@device
-def edges_of(block):
-    """Vertices 0 of a block's triangles, and their edges: see `triangle_edges`."""
-    a = load_corners(block)
-    return a, triangle_edges(a, load_corners(block + SECOND), load_corners(block + THIRD))
-
-
-@device
-def test_block(block, line, t_min, t_far, lanes):
-    """`test_ray` with the triangles of the block at an address."""
-    a, edges = edges_of(block)
-    return test_ray(a, edges, line, t_min, t_far, lanes)
-
-
-@device
-def test_ray(a, edges, line, t_min, t_far, lanes):
-    """Test the triangles of a block against a ray.
+def block_test(take: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the test of a block's triangles against a ray, for what becomes of its hits.
 
     Parameters
     ----------
-    a, edges : tuple
-        See `edges_of`.
-    line : Line
-    t_min, t_far : float64
-        Hits are wanted in this interval.
-    lanes : uint64
-        Address of 64 bytes: of the lanes that may be hit, an interval in which the distance lies.
+    take : device function
+        ``take(search, line, span, triangle, prim_id) -> (search, is_over)`` offers a triangle that
+        the ray may hit to a search; see `search.offer` for the arguments. Hits beyond the search's
+        ``t_far`` are not wanted.
 
     Returns
     -------
-    found, sure : uint64
-        Bits of the lanes that may be hit; and of those that are hit for sure.
+    device function
+        ``test(search, line, edges, block, spans) -> (search, is_over)``: the search and the `Line`
+        of a ray, the four triangles, see `load_edges`, of the block at an address, and the address
+        of 64 bytes.
     """
-    hits = test_lanes(a, edges, line.origin, line.direction, t_min, t_far, None)
-    found = mask_bits(hits.found)
-    if found != ZERO_U64:
-        store(lanes, hits.low)
-        store(lanes + HIGH, hits.high)
-    return found, mask_bits(hits.sure)
+
+    @device
+    def test(search, line, edges, block, spans):
+        hits = test_lanes(edges, line.origin, line.direction, line.t_min, search.t_far, None)
+        found, sure = mask_bits(hits.found), mask_bits(hits.sure)
+        if found != ZERO_U64:
+            store(spans, hits.low)
+            store(spans + _HIGH, hits.high)
+        while found != ZERO_U64:
+            lane = count_trailing_zeros(found)
+            found &= found - ONE_U64
+            prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
+            span, triangle = span_of(spans, _HIGH, lane, sure), block + (lane << SHIFT_64)
+            search, is_over = take(search, line, span, triangle, prim_id)
+            if is_over:
+                return search, True
+        return search, False
+
+    return test
 
 
 @device

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.geometry.float64.block import SECOND, THIRD, load_corner
+from raystream.geometry.float64.block import load_corners
 from raystream.geometry.float64.double_numbers import (
     add_double,
     cross_double,
@@ -68,6 +68,10 @@ class Estimate(NamedTuple):
         Whether `t` is the distance, rounded to nearest, for sure. If all numbers within the bounds
         round to the same one, that is it. (Ziv, "Fast Evaluation of Elementary Mathematical
         Functions with Correctly Rounded Last Bit", ACM TOMS 17(3), 1991.)
+    is_known : bool or mask
+        Both: then `t`, `u` and `v` are those of `solve_exactly`.
+    u, v : number or vector
+        See there.
     """
 
     corner: Any
@@ -77,14 +81,14 @@ class Estimate(NamedTuple):
     is_sure: Any
     t: Any
     is_rounded: Any
+    is_known: Any
+    u: Any
+    v: Any
 
 
 @device
 def estimate(a, b, c, origin, direction):
-    """The `Estimate` of a hit, from triples of float64 numbers or vectors.
-
-    A hit that is sure and rounded has the bits of `solve_exactly`.
-    """
+    """The `Estimate` of a hit, from triples of float64 numbers or vectors."""
     corner = _differences(a, origin)
     p, q = _differences(b, a), _differences(c, a)
     reach, h = _largest(corner), maximum(_largest(p), _largest(q))
@@ -103,11 +107,13 @@ def estimate(a, b, c, origin, direction):
     slack = h * h * (reach * _TOP_ERROR + length * _BASE_ERROR) * absolute(inverse)
     slack += length * _RATIO_ERROR
     is_rounded = (t + (rest + slack) == t) & (t + (rest - slack) == t)
-    return Estimate(corner, p, q, (u[0], v[0], w[0], inverse), is_sure, t, is_rounded)
+    weights, is_known = (u[0], v[0], w[0], inverse), is_sure & is_rounded
+    uv = _barycentrics(v[0], w[0], inverse)
+    return Estimate(corner, p, q, weights, is_sure, t, is_rounded, is_known, *uv)
 
 
 @device
-def barycentrics(weight_v, weight_w, inverse):
+def _barycentrics(weight_v, weight_w, inverse):
     """Weights u and v of a hit's vertices 1 and 2, from numbers in proportion to them."""
     u, v = absolute(weight_v * inverse), absolute(weight_w * inverse)
     return minimum(u, ONE_F64), minimum(v, ONE_F64)
@@ -181,8 +187,8 @@ def solve_exactly(line, triangle, surfaces):
     """
     no_inline()
     o, d = line.origin, line.direction
-    a, b, c = load_corner(triangle), load_corner(triangle + SECOND), load_corner(triangle + THIRD)
-    corner, p, q, weights, is_sure, t, is_rounded = estimate(a, b, c, o, d)
+    a, b, c = load_corners(np.float64, triangle)
+    corner, p, q, weights, is_sure, t, is_rounded, _, _, _ = estimate(a, b, c, o, d)
     weight_u, weight_v, weight_w, inverse = weights
     if not is_sure:
         way = _alone(d)
@@ -203,5 +209,5 @@ def solve_exactly(line, triangle, surfaces):
             return False, INF_F64, ZERO_F64, ZERO_F64
     if not is_rounded:
         t = rounded_ratio(corner, p, q, _alone(d))
-    u, v = barycentrics(weight_v, weight_w, inverse)
+    u, v = _barycentrics(weight_v, weight_w, inverse)
     return True, t, u, v

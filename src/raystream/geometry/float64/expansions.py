@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.geometry.float64.double_numbers import two_product, two_sum
+from raystream.geometry.float64.double_numbers import negate_double, two_product, two_sum
 from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
@@ -56,6 +56,13 @@ def _grow(at, count, x):
     return kept
 
 
+@device
+def _grow_by_product(at, count, x, y):
+    """Add a product of two numbers, exactly."""
+    high, low = two_product(x, y)
+    return _grow(at, _grow(at, count, low), high)
+
+
 @device_call
 def _add_product(at, count, x, y, z):
     """Add a product of three numbers to an expansion."""
@@ -64,12 +71,8 @@ def _add_product(at, count, x, y, z):
         return count
     product, rest = two_product(x, y)
     if rest != 0.0:
-        high, low = two_product(rest, z)
-        count = _grow(at, count, low)
-        count = _grow(at, count, high)
-    high, low = two_product(product, z)
-    count = _grow(at, count, low)
-    return _grow(at, count, high)
+        count = _grow_by_product(at, count, rest, z)
+    return _grow_by_product(at, count, product, z)
 
 
 @device_call
@@ -81,11 +84,6 @@ def _add_term(at, count, x, y, z):
             for k in range(2):
                 count = _add_product(at, count, x[i], y[j], z[k])
     return count
-
-
-@device
-def _negative(x):
-    return -x[0], -x[1]
 
 
 @device_call
@@ -108,9 +106,9 @@ def determinant(at, x, y, z):
     count = _add_term(at, ZERO_U64, x[0], y[1], z[2])
     count = _add_term(at, count, x[1], y[2], z[0])
     count = _add_term(at, count, x[2], y[0], z[1])
-    count = _add_term(at, count, _negative(x[0]), y[2], z[1])
-    count = _add_term(at, count, _negative(x[1]), y[0], z[2])
-    return _add_term(at, count, _negative(x[2]), y[1], z[0])
+    count = _add_term(at, count, negate_double(x[0]), y[2], z[1])
+    count = _add_term(at, count, negate_double(x[1]), y[0], z[2])
+    return _add_term(at, count, negate_double(x[2]), y[1], z[0])
 
 
 @device
@@ -147,14 +145,19 @@ def _side(top, top_count, base, base_count, ratio, rest):
         store(at + (k << _SHIFT), load(np.float64, top + (k << _SHIFT)))
     for k in range(base_count):
         part = -load(np.float64, base + (k << _SHIFT))
-        high, low = two_product(part, ratio)
-        count = _grow(at, count, low)
-        count = _grow(at, count, high)
-        high, low = two_product(part, rest)
-        count = _grow(at, count, low)
-        count = _grow(at, count, high)
+        count = _grow_by_product(at, count, part, ratio)
+        count = _grow_by_product(at, count, part, rest)
     sign = _sign(at, count)
     return sign if _sign(base, base_count) > 0.0 else -sign
+
+
+@device
+def _is_nearer(other, ratio, is_odd, top, top_count, base, base_count):
+    """Whether top / base is nearer to a neighbour of `ratio`; or in the middle, if that is odd."""
+    side = _side(top, top_count, base, base_count, ratio, 0.5 * (other - ratio))
+    if other < ratio:
+        side = -side
+    return side > 0.0 or (side == 0.0 and is_odd)
 
 
 @device_call
@@ -183,16 +186,12 @@ def rounded_ratio(a, p, q, d):
     for _ in range(_STEPS):
         bits = float_as_bits(ratio)
         is_odd = bits & _BIT != np.int64(0)
+        # Away from 0, then toward it.
         outer, inner = bits_as_float(bits + _BIT), bits_as_float(bits - _BIT)
-        side = _side(top, top_count, base, base_count, ratio, 0.5 * (outer - ratio))
-        side = side if ratio > 0.0 else -side
-        if side > 0.0 or (side == 0.0 and is_odd):
+        if _is_nearer(outer, ratio, is_odd, top, top_count, base, base_count):
             ratio = outer
-            continue
-        side = _side(top, top_count, base, base_count, ratio, 0.5 * (inner - ratio))
-        side = side if ratio > 0.0 else -side
-        if side < 0.0 or (side == 0.0 and is_odd):
+        elif _is_nearer(inner, ratio, is_odd, top, top_count, base, base_count):
             ratio = inner
-            continue
-        break
+        else:
+            break
     return ratio

@@ -11,41 +11,24 @@ from typing import Any
 
 import numpy as np
 
-from raystream.geometry.float64.best import SPAN_BYTES
-from raystream.geometry.float64.block import (
-    BLOCK,
-    PRIM_IDS,
-    SECOND,
-    THIRD,
-    edges_of,
-    leaf_end,
-    load_corner,
-    triangle_edges,
-)
+from raystream.geometry.float64.block import BLOCK, PRIM_IDS, leaf_end, load_edges
 from raystream.geometry.float64.group_rays import GROUP_BYTES, load_rays
-from raystream.geometry.float64.group_results import store_counts, store_nearest
+from raystream.geometry.float64.group_results import store_nearest, trace_alone
 from raystream.geometry.float64.leaf import (
+    SPAN_BYTES,
     Float64Leaf,
-    counting_kind,
+    collecting_kind,
     nearest_kind,
     test_group,
     test_one,
 )
-from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
+from raystream.jit.constants import BYTES_64, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import (
-    load,
-    scratch,
-)
-from raystream.structures.bvh.leaf_kinds import no_prefetch
+from raystream.jit.simd import f64x4, load, scratch, store
+from raystream.structures.bvh.leaf_kinds import CountsLanes, no_prefetch
 from raystream.structures.bvh.node_layout import LANE, leaf_address
-from raystream.structures.bvh.packets.rays import (
-    GROUP,
-    GROUPS,
-    PACKET_RAYS,
-    GroupLanes,
-    group_rows,
-)
+from raystream.structures.bvh.packets.hits import COLLECTOR_BYTES, Collector
+from raystream.structures.bvh.packets.rays import GROUP, GROUPS, PACKET_RAYS, GroupLanes, group_rows
 from raystream.structures.bvh.ray_groups.leaf import SMALL_BYTES, Small
 from raystream.structures.bvh.ray_groups.queries import group_kernel
 from raystream.structures.bvh.ray_groups.rays import (
@@ -102,11 +85,10 @@ def _test_groups(leaf, block, groups, count, memory):
         if prim_id < np.int32(0):
             break
         triangle = block + (lane << SHIFT_64)
-        a = load_corner(triangle)
-        shape = a, triangle_edges(a, load_corner(triangle + SECOND), load_corner(triangle + THIRD))
+        edges = load_edges(np.float64, triangle)
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-            bits = test_group(leaf, memory, g, None, triangle, shape, prim_id)
+            bits = test_group(leaf, memory, g, None, triangle, edges, prim_id)
             hit_count += np.uint64(bits != ZERO_U64)
             copy_limits(memory, g, bits)
     return hit_count
@@ -115,11 +97,11 @@ def _test_groups(leaf, block, groups, count, memory):
 @device
 def _test_rays(leaf, block, rays, count, memory):
     """Test a block against the rays of a list; likewise."""
-    hit_count, triangles = ZERO_U64, edges_of(block)
+    hit_count, edges = ZERO_U64, load_edges(f64x4, block)
     for j in range(count):
         number = np.uint64(load(np.uint32, rays + j * LANE))
         g, k = number >> LANE_SHIFT, number & LAST_LANE
-        if test_one(leaf, memory, g, k, block, triangles):
+        if test_one(leaf, memory, g, k, block, edges):
             hit_count += ONE_U64
             copy_limits(memory, g, ONE_U64 << k)
     return hit_count
@@ -150,24 +132,53 @@ def _load(memory, source, first, last, scene, wanted):
     return count, ray_count, group_count
 
 
-def _kernel(kind_of: Callable[..., Any], store_group: Callable[..., Any]) -> Any:
-    """Make a kernel of functions for leaves, see `leaf`, and results, see `group_results`."""
+@device
+def _leaf(kind, memory):
+    spans = scratch(SPAN_BYTES)
+    return Float64Leaf(_visit_leaf, no_prefetch, kind, memory + _GROUPS_AT, _LIMITS_AT, spans)
+
+
+@device
+def _nearest_leaf(wanted, memory):
+    return _leaf(nearest_kind(wanted.wants_any), memory)
+
+
+@device
+def _counting_leaf(wanted, memory):
+    # Of a collector, counting needs nothing else.
+    hits = Collector(scratch(COLLECTOR_BYTES))
+    hits.is_counting = ONE_U64
+    return _leaf(collecting_kind(wanted.surfaces, hits), memory)
+
+
+@device
+def _store_counts(leaf, memory, g, first, count, tree, wanted):
+    found = CountsLanes(memory, g).count
+    for k in range(count):
+        store(wanted.counts + (first + k) * BYTES_64, np.int64(found[k]))
+
+
+def _kernel(leaf_of: Callable[..., Any], store_group: Callable[..., Any]) -> Any:
+    """Make a kernel of functions for leaves, and for results of groups.
+
+    ``leaf_of(wanted, memory)``; ``store_group(leaf, memory, g, first, count, tree, wanted)``
+    """
 
     @device
     def trace(memory, count, ray_count, scene, source, wanted):
         stack, small, groups = scratch(STREAM_STACK_BYTES), scratch(SMALL_BYTES), memory + LISTS_AT
-        kind, rays, spans = kind_of(wanted), memory + _GROUPS_AT, scratch(SPAN_BYTES)
-        leaf = Float64Leaf(_visit_leaf, no_prefetch, kind, rays, _LIMITS_AT, spans)
+        leaf = leaf_of(wanted, memory)
         trace_block(memory, groups, count, ray_count, scene, stack, Small(small), leaf)
 
     @device
     def finish(memory, source, first, last, scene, group_count, wanted):
-        rays, g = memory + _GROUPS_AT, ZERO_U64
+        leaf, g = leaf_of(wanted, memory), ZERO_U64
         for packet in range(first, last):
             for row in range(GROUPS):
                 ray, length = group_rows(source.order, packet, row)
                 if length != ZERO_U64:
-                    store_group(memory, g, rays, ray, length, source, scene, wanted)
+                    trace_alone(leaf, memory, g, length, source.frame, scene)
+                    store_group(leaf, memory, g, ray, length, scene, wanted)
                     g += ONE_U64
 
     return group_kernel(_load, trace, finish, BLOCK_PACKETS)
@@ -175,5 +186,5 @@ def _kernel(kind_of: Callable[..., Any], store_group: Callable[..., Any]) -> Any
 
 #: Kernels for a `Float64Packets`, in `WORKING_BYTES` bytes: the nearest or any hits for a
 #: `packets.queries.NearestWanted`, the numbers of hits for a `packets.multi_hit.RowsWanted`.
-trace_groups = _kernel(nearest_kind, store_nearest)
-count_in_groups = _kernel(counting_kind, store_counts)
+trace_groups = _kernel(_nearest_leaf, store_nearest)
+count_in_groups = _kernel(_counting_leaf, _store_counts)

@@ -2,74 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from raystream.geometry.float64.ray import reported
-from raystream.jit.constants import SHIFT_32, SHIFT_64
+from raystream.jit.constants import SHIFT_64
 from raystream.jit.copies import Copies
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
-from raystream.kernels.search import get_hit, keep_hit, put_hit, sort_hits, t_of
-from raystream.structures.bvh.packets import hits as packet_hits
-from raystream.structures.bvh.packets import multi_hit as packet_multi_hit
+from raystream.kernels.search import ROW_NUMBER, ROW_SHIFT, offer, put_hit, sort_hits
+from raystream.structures.bvh.packets.hits import collect, collect_one
+from raystream.structures.bvh.packets.multi_hit import tell_row
 
 
 @device
-def row_t(out, row):
-    """Read the t of a row's hit."""
-    return load(np.float64, out.t + (row << SHIFT_64))
-
-
-@device
-def put_row(out, row, t, u, v, prim_id):
-    """Write a hit to a row of `kernels.hits.HitAddresses`."""
-    at = row << SHIFT_64
-    store(out.t + at, t)
-    store(out.u + at, u)
-    store(out.v + at, v)
-    store(out.prim_id + (row << SHIFT_32), prim_id)
-
-
-@device
-def get_row(out, row):
-    """Read the hit of a row: t, u, v, prim_id."""
-    at = row << SHIFT_64
-    return (
-        load(np.float64, out.t + at),
-        load(np.float64, out.u + at),
-        load(np.float64, out.v + at),
-        load(np.int32, out.prim_id + (row << SHIFT_32)),
-    )
-
-
-@device
-def _number_at(column, row):
-    return column + (row << SHIFT_64)
-
-
-@device
-def _tell_row(t, row, lengths):
+def tell_float64_row(t, row, lengths):
     """Convert the t of a row to lengths of the given direction; see `ray.reported`."""
-    at = _number_at(t, row)
+    at = t + (row << SHIFT_64)
     store(at, reported(load(np.float64, at), lengths))
 
 
-#: What functions for rows of float32 call, and what their copies for float64 call instead.
-FLOAT64_ROWS = {
-    t_of: row_t,
-    put_hit: put_row,
-    get_hit: get_row,
-    packet_hits.number_at: _number_at,
-    packet_multi_hit.tell_row: _tell_row,
-}
-_of_float64 = Copies("of_float64", FLOAT64_ROWS).of
+def _constant(value: Any) -> Any:
+    if value is ROW_NUMBER:
+        return np.float64
+    return SHIFT_64 if value is ROW_SHIFT else value
 
-#: Keep a hit if it is among the nearest: `kernels.search.keep_hit`.
-keep_row = _of_float64(keep_hit)
 
-#: Sort rows by t, then prim_id: `kernels.search.sort_hits`.
-sort_rows = _of_float64(sort_hits)
+def rows_of_float64(instead: Mapping[Any, Any]) -> Copies:
+    """Makes copies, for rows of float64, of functions for those of float32; see `Copies`."""
+    return Copies("of_float64", {tell_row: tell_float64_row, **instead}, _constant)
 
-#: Append hits of 16 rays, or of one: see `structures.bvh.packets.hits`.
-collect = _of_float64(packet_hits.collect)
-collect_one = _of_float64(packet_hits.collect_one)
+
+_copy = rows_of_float64({}).of
+
+#: See `kernels.search`, and `structures.bvh.packets.hits`.
+put_row, offer_row, sort_rows = _copy(put_hit), _copy(offer), _copy(sort_hits)
+collect_rows, collect_row = _copy(collect), _copy(collect_one)

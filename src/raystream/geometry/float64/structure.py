@@ -89,9 +89,7 @@ class Float64Bvh(Float64Structure):
                 f"{len(tree.leaves):,} leaf blocks are more than {MAX_BLOCKS // 2:,}, the most "
                 "with precision='float64'"
             )
-        planes = tree.nodes[:, : CHILDREN_AT // 4].reshape(-1, 3, 2, WIDTH)
-        _round_outward(planes[:, :, 0], -np.inf)
-        _round_outward(planes[:, :, 1], np.inf)
+        _round_outward(tree.nodes[:, : CHILDREN_AT // 4].reshape(-1, 3, 2, WIDTH))
         links = tree.children
         is_leaf = links < 0
         first, rest = ~links[is_leaf] >> 3, ~links[is_leaf] & 7
@@ -135,9 +133,12 @@ class Float64Brute(Float64Structure):
 STRUCTURES = {"bvh": Float64Bvh, "brute": Float64Brute}
 
 
-def _round_outward(planes: NDArray[np.float32], toward: float) -> None:
-    """Move planes by a step: corners were rounded to nearest. Absent boxes stay empty."""
-    moved = np.nextafter(planes, np.float32(toward))
+def _round_outward(planes: NDArray[np.float32]) -> None:
+    """Move low and high planes by a step: corners were rounded to nearest.
+
+    Absent boxes stay empty.
+    """
+    moved = np.nextafter(planes, np.array([[-np.inf], [np.inf]], np.float32))
     planes[...] = np.where(np.isfinite(planes), moved, planes)
 
 

@@ -1,6 +1,6 @@
 """The traversals of single rays in float64: of the wide tree, and of all triangles.
 
-They go from block to block; what happens there is up to the query, a function of the block.
+They go from block to block; what happens to the hits there is up to the query.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.geometry.float64.block import BLOCK, leaf_end
+from raystream.geometry.float64.block import BLOCK, block_test, leaf_end, load_edges
 from raystream.geometry.float64.ray import widened_far, widened_near
 from raystream.jit.constants import ZERO_F32, ZERO_F64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     f32x8,
+    f64x4,
     f64x8,
     float_as_bits,
     fma,
@@ -84,76 +85,72 @@ def _enter(node, line, search, t_min, t_far):
     return (keys & _KEY_BITS) | lane_numbers(i32x8), entered
 
 
-def blocks_by(make_walk: Callable[..., Any]) -> Callable[..., Any]:
-    """Make `tree_blocks` for trees of another layout; ``make_walk(interval, visit_leaf)``."""
+@device
+def _interval(line, search):
+    ray, _ = line
+    far = widened_far(search.t_far)
+    # Adding zero turns -0 into 0.
+    return widened_near(ray.line.t_min), far, np.float32(far) + ZERO_F32
 
-    def make_traversal(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
-        @device
-        def interval(line, search):
-            ray, _ = line
-            far = widened_far(far_of(ray, search))
-            # Adding zero turns -0 into 0.
-            return widened_near(ray.line.t_min), far, np.float32(far) + ZERO_F32
+
+def blocks_by(
+    make_walk: Callable[..., Any], enter: Callable[..., Any]
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Make a maker of traversals of trees.
+
+    Parameters
+    ----------
+    make_walk : callable
+        As `structures.bvh.walks.single.tree_walk`.
+    enter : device function
+        See there.
+
+    Returns
+    -------
+    callable
+        ``make_traversal(take)``, for what becomes of the hits, see `block.block_test`, makes a
+        device function ``walk(tree, line, search, stack, wants_any) -> search``. `line` has a
+        `Float64Ray`, and the address of 64 bytes. See `tree_walk` for the others.
+    """
+
+    def make_traversal(take: Callable[..., Any]) -> Callable[..., Any]:
+        test_block = block_test(take)
 
         @device
         def visit_leaf(tree, child, line, search, stack):
-            ray, lanes = line
+            ray, spans = line
             block = leaf_address(tree.leaves, child)
             end = leaf_end(block, child)
             while block != end:
-                search, is_over = visit(block, ray, search, lanes)
+                edges = load_edges(f64x4, block)
+                search, is_over = test_block(search, ray.line, edges, block, spans)
                 if is_over:
                     return search, True
                 block += BLOCK
             return search, False
 
-        walk_tree = make_walk(interval, visit_leaf)
-
-        @device
-        def walk(tree, ray, search, stack, lanes, wants_any):
-            return walk_tree(tree, (ray, lanes), search, stack, wants_any)
-
-        return walk
+        return make_walk(_interval, enter, visit_leaf)
 
     return make_traversal
 
 
-def _wide_walk(interval: Callable[..., Any], visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
-    return tree_walk(interval, _enter, visit_leaf)
+#: Makes traversals of wide trees.
+tree_blocks = blocks_by(tree_walk, _enter)
 
 
-def tree_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
-    """Make the traversal of a wide tree.
-
-    Parameters
-    ----------
-    visit : device function
-        ``visit(block, ray, search, lanes) -> (search, is_over)`` offers the triangles of a block;
-        `lanes` is the address of 64 bytes.
-    far_of : device function
-        ``far_of(ray, search)`` is the distance beyond which no hit is wanted.
-
-    Returns
-    -------
-    device function
-        ``walk(tree, ray, search, stack, lanes, wants_any) -> search``
-    """
-    return _of_wide_trees(visit, far_of)
-
-
-_of_wide_trees = blocks_by(_wide_walk)
-
-
-def all_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
-    """Make the traversal of all blocks; see `tree_blocks`."""
+def all_blocks(take: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the traversal of all blocks; see `blocks_by`."""
+    test_block = block_test(take)
 
     @device
-    def walk(tree, ray, search, stack, lanes, wants_any):
-        if not ray.line.t_min <= far_of(ray, search):
+    def walk(tree, line, search, stack, wants_any):
+        ray, spans = line
+        if not ray.line.t_min <= search.t_far:
             return search
         block = tree.leaves
         for _ in range(tree.block_count):
-            search, is_over = visit(block, ray, search, lanes)
+            edges = load_edges(f64x4, block)
+            search, is_over = test_block(search, ray.line, edges, block, spans)
             if is_over:
                 return search
             block += BLOCK

@@ -14,7 +14,7 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import compress, i32x16, lane_numbers, load, mask_bits, popcount, store
 from raystream.jit.views import view
-from raystream.kernels.search import get_hit, is_before, put_hit, sort_hits
+from raystream.kernels.search import ROW_SHIFT, get_hit, is_before, put_hit, sort_hits
 from raystream.structures.bvh.packets.rays import GROUPS, PACKET_RAYS
 
 #: Addresses of buffers: hits in the order of discovery, sorted hits, their rays and the ends of the
@@ -51,12 +51,6 @@ _LONG = np.uint64(24)
 
 
 @device
-def number_at(column, row):
-    """Address of a row's t, u or v."""
-    return column + row * _LANE
-
-
-@device
 def has_room(hits):
     """Whether all hits of the packet fit."""
     return hits.count + _LANES <= hits.capacity
@@ -77,9 +71,10 @@ def collect(hits, taken, t, u, v, prim_id, g):
     """
     if has_room(hits):
         row, found = hits.count, Buffers(hits.buffers).found
-        store(number_at(found.t, row), compress(taken, t))
-        store(number_at(found.u, row), compress(taken, u))
-        store(number_at(found.v, row), compress(taken, v))
+        at = row << ROW_SHIFT
+        store(found.t + at, compress(taken, t))
+        store(found.u + at, compress(taken, u))
+        store(found.v + at, compress(taken, v))
         at = row * _LANE
         store(found.prim_id + at, prim_id)
         store(found.ray + at, compress(taken, lane_numbers(i32x16) + hits.first_rays[g]))

@@ -284,18 +284,11 @@ def count_all(
 
 
 def all_hits_kernels(
-    scenes: PacketScene,
-    answer: PacketAnswer = ROWS,
-    counts: PacketAnswer | None = None,
-    source_of: SourceOf = plain_source,
+    scenes: PacketScene, answer: PacketAnswer = ROWS, source_of: SourceOf = plain_source
 ) -> tuple[BatchKernel, BatchKernel]:
-    """The kernels that deliver all hits of packets to a visitor, and that count them.
-
-    `answer` does both, unless `counts` does the latter.
-    """
+    """The kernels that deliver all hits of packets to a visitor, and that count them."""
     trace = packet_kernel(scenes, answer)
-    count = trace if counts is None else packet_kernel(scenes, counts)
-    visited, counted = partial(_visit_all, trace, source_of), partial(count_all, count, source_of)
+    visited, counted = partial(_visit_all, trace, source_of), partial(count_all, trace, source_of)
     return (
         BatchKernel(visited, CallSize(8, PACKETS_PER_CALL, joins_chunks=False), is_tiled=True),
         BatchKernel(counted, CallSize(8, COUNTED_PER_CALL), is_tiled=True),
