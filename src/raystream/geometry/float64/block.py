@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.geometry.float64.ray import largest
 from raystream.jit.constants import INF_F64, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
@@ -37,6 +36,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
+from raystream.kernels.ray import largest
 
 #: A block: 36 float64 numbers, x, y, z of vertex 0, of vertex 1, then of vertex 2, for four
 #: triangles each; then their four prim_ids, int32, and 16 bytes that are unused. Unused lanes have

@@ -22,11 +22,11 @@ from raystream.geometry.float64.double_numbers import (
     negate_double,
 )
 from raystream.geometry.float64.expansions import determinant_value, rounded_ratio
-from raystream.geometry.float64.ray import largest
 from raystream.jit.constants import INF_F64, ONE_F64, ZERO_F64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import absolute, maximum, minimum
+from raystream.kernels.ray import largest
 
 #: Errors of weights, as parts of h (M + h), see `geometry.float64.block`: 2**-96 with a margin.
 _SIGN_ERROR = np.float64(2.0**-94)

@@ -31,15 +31,13 @@ from raystream.jit.simd import (
 )
 from raystream.jit.views import address_of, view
 from raystream.kernels.best import far_limits
+from raystream.kernels.box_entry import advanced, box_entry, outside_by
 from raystream.kernels.ray import (
     FAR,
     LocalRay,
     WorldRay,
-    advanced,
-    box_entry,
     largest,
     local_limit,
-    outside_by,
     rounded,
     scaled,
     to_frame,
