@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 import raystream as rs
-from raystream.rendering import ao, integrator, path
+from raystream.rendering import ao, contexts, integrator, path
 from raystream.rendering.render import RENDERERS
 
 #: Samples of an image; the printed time is that of one sample.
@@ -77,7 +77,7 @@ def rays_of(tracer, mode, size, camera, options):
     listener = Listener(tracer)
     chosen = renderer.check({**renderer.options, **options})
     numbers = integrator.Sampler.of("sobol", 0, 16)
-    context = integrator.make_context(listener, camera, size, numbers, chosen)
+    context = contexts.make_context(listener, camera, size, numbers, chosen)
     parts = defaultdict(list)
     rows = max(1, (1 << 16) // size[0])
     for first in range(0, size[1], rows):

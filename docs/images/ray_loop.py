@@ -14,7 +14,7 @@ import numpy as np
 
 import raystream as rs
 from raystream.machines.records import RayState
-from raystream.rendering.integrator import make_context
+from raystream.rendering.contexts import make_context
 from raystream.rendering.ray_loops import MultipassBands
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sample_bands import trace_sample

@@ -18,7 +18,7 @@ from raystream.cuda.rendering.tables import TableMemory
 from raystream.cuda.staging import StagingStream
 from raystream.jit.cuda import CudaError, Gpu, is_simulated
 from raystream.jit.cuda.arguments import flat, kind_of
-from raystream.rendering.integrator import make_context
+from raystream.rendering.contexts import make_context
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.keep_alive import kept_arrays

@@ -10,7 +10,7 @@ import pytest
 import raystream as rs
 from meshes import icosphere
 from raystream.core.errors import FileFormatError
-from raystream.rendering.integrator import make_context
+from raystream.rendering.contexts import make_context, seen_by
 from raystream.rendering.lighting import ADDED, LEAST_LIGHT, LIGHTS, added_light, needs_light
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sample_bands import trace_sample
@@ -174,7 +174,7 @@ def test_another_camera_keeps_the_choice():
     far = rs.Camera((0, 30, 0), (20, 0, 20))
     for lights in LIGHTS:
         context = make_context(tracer, scene.camera, (8, 6), one, {}, chosen_lights=lights)
-        light, _ = trace_sample(renderer, context.seen_by(far, SIZE), 0)
+        light, _ = trace_sample(renderer, seen_by(context, far, SIZE), 0)
         expected = rs.render(tracer, "raycast", SIZE, camera=far, lights=lights).pixels
         np.testing.assert_array_equal(light.reshape(expected.shape), expected)
 

@@ -12,8 +12,8 @@ from conftest import assert_same_bits
 from raystream.core.errors import FileFormatError
 from raystream.jit.threads import set_thread_count
 from raystream.rendering import progressive, sample_bands
+from raystream.rendering.contexts import make_context
 from raystream.rendering.film import Film
-from raystream.rendering.integrator import make_context
 from raystream.rendering.limits import FIRST_SAMPLES
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sample_bands import trace_sample

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.rendering.integrator import make_context
+from raystream.rendering.contexts import make_context, seen_by
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sample_bands import trace_sample
 from raystream.rendering.sampling.sampler import Sampler
@@ -25,7 +25,7 @@ def test_setting_seen_by_another_camera_gives_its_picture(tracer, mode):
     options = renderer.check(renderer.options)
     near = tracer.scene.camera
     far = rs.Camera((100.0, 400.0, -900.0), near.look_at, near.up, 50.0)
-    moved = make_context(tracer, near, (24, 16), ONE, options).seen_by(far, (32, 20))
+    moved = seen_by(make_context(tracer, near, (24, 16), ONE, options), far, (32, 20))
     light, _ = trace_sample(renderer, moved, 0)
     expected = rs.render(tracer, mode, (32, 20), camera=far).pixels
     assert np.array_equal(light.reshape(20, 32, 3), expected)

@@ -12,7 +12,7 @@ import raystream as rs
 from conftest import assert_same_bits, tier
 from dark_views import DARK_VIEWS, box, closed_room, far_lamp
 from raystream.rendering import view_light
-from raystream.rendering.integrator import make_context
+from raystream.rendering.contexts import make_context, seen_by
 from raystream.rendering.lighting import ADDED, needs_light
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sample_bands import trace_sample
@@ -88,7 +88,7 @@ def test_lights_that_are_added_follow_the_camera(lights):
     options = renderer.check(renderer.complete({}))
     context = make_context(rs.Tracer(scene), scene.camera, SIZE, one, options, (), lights)
     assert context.is_light_added
-    light, _ = trace_sample(renderer, context.seen_by(back), 0)
+    light, _ = trace_sample(renderer, seen_by(context, back), 0)
     expected = rs.render(scene, "path", SIZE, 1, camera=back, lights=lights).pixels
     np.testing.assert_array_equal(light.reshape(expected.shape), expected)
     assert expected.max() > 0.3  # its sunny side is seen

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.rendering.integrator import make_context
+from raystream.rendering.contexts import make_context
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.viewer.adaptive_resolution import Cost

@@ -6,7 +6,8 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from raystream.rendering.integrator import RenderContext, make_context
+from raystream.rendering.contexts import make_context, with_bands
+from raystream.rendering.integrator import RenderContext
 from raystream.rendering.render import RENDERERS, render
 from raystream.rendering.sample_bands import trace_sample
 from raystream.rendering.sampling.sampler import Sampler
@@ -46,7 +47,7 @@ def frame_seconds(
     renderer = RENDERERS[mode]
     chosen = renderer.check(renderer.complete(options))
     width, height = size
-    own = replace(context, tracer=tracer, width=width, height=height, options=chosen).with_bands()
+    own = with_bands(replace(context, tracer=tracer, width=width, height=height, options=chosen))
     started = time.perf_counter()
     trace_sample(renderer, own, 0)
     return time.perf_counter() - started

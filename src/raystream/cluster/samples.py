@@ -19,7 +19,8 @@ from raystream.cluster.tasks import OrderedTasks
 from raystream.cluster.thread_budget import shared_threads
 from raystream.core.errors import RaystreamWarning
 from raystream.jit.threads import Progress
-from raystream.rendering.integrator import RenderContext, make_context
+from raystream.rendering.contexts import make_context
+from raystream.rendering.integrator import RenderContext
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sample_bands import Sampled, trace_sample
 from raystream.rendering.sampling.sampler import Sampler

@@ -12,7 +12,7 @@ from raystream.jit.threads import Progress
 
 
 class DeviceBands(Protocol):
-    """A renderer of samples on a tracer's device or machine; see `RenderContext.with_bands`.
+    """A renderer of samples on a tracer's device or machine; see `contexts.with_bands`.
 
     Attributes
     ----------

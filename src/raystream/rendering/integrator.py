@@ -10,8 +10,6 @@ before it is added to the film.
 
 from __future__ import annotations
 
-import importlib
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,31 +17,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.errors import RaystreamWarning
 from raystream.core.hits import Hits
 from raystream.jit.threads import Progress
 from raystream.programs.filters import Bound
 from raystream.rendering.arguments import check_samples
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.device_bands import DeviceBands
-from raystream.rendering.lighting import has_visible_light, needs_light
 from raystream.rendering.opacity import Opacity, filter_of
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers, write_aovs
-from raystream.rendering.shading.light_tables import LightTables, lights_of
+from raystream.rendering.shading.light_tables import LightTables
 from raystream.rendering.shading.placed_tables import ObjectTables
 from raystream.rendering.shading.primitive_tables import MeshTables
-from raystream.rendering.shading.punctual_lights import PunctualLights, punctual_lights_of
+from raystream.rendering.shading.punctual_lights import PunctualLights
 from raystream.rendering.shading.shadow_rays import ShadowRays, add_unblocked
 from raystream.rendering.shading.streams import Paths
-from raystream.rendering.shading.tables import EMITS, IS_TEXTURED, SceneTables, tables_of
-from raystream.rendering.surfaces import objects_of, surfaces_of
+from raystream.rendering.shading.tables import SceneTables
+from raystream.rendering.surfaces import surfaces_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
-
-#: What renders in loops of a machine. It is named, and not imported: it has the loops of all
-#: renderers, which need this module.
-_LOOPS = "raystream.rendering.ray_loops"
 
 #: Upper bound of the option `max_bounces`.
 MAX_BOUNCES = 1000
@@ -102,88 +94,6 @@ class RenderContext:
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound | None:
         """The filter (``on_hit``) of the tracer's queries for rays of shape (N, 3)."""
         return filter_of(self.opacity, origins, directions)
-
-    def seen_by(self, camera: Camera, size: tuple[int, int] | None = None) -> RenderContext:
-        """The same scene from another camera, or in another size.
-
-        Shares everything that does not depend on them, and so is much faster than
-        `make_context`: for interactive cameras.
-        """
-        scene, chosen = self.tracer.scene, self.chosen_lights
-        punctual, kept_punctual = punctual_lights_of(scene, camera, chosen)
-        lights, kept_lights = self.lights, self.kept[1]
-        if chosen == "added" or self.is_light_added:  # their place depends on the camera
-            lights, kept_lights = lights_of(scene, camera, chosen)
-        width, height = size or (self.width, self.height)
-        made = replace(
-            self,
-            camera=camera,
-            width=width,
-            height=height,
-            lights=lights,
-            punctual=punctual,
-            kept=(self.kept[0], kept_lights, kept_punctual),
-        )
-        return made.with_bands()
-
-    def with_lights(self, chosen: str) -> RenderContext:
-        """The same with another choice of lights; see `lighting.needs_light`."""
-        return replace(self, chosen_lights=chosen).seen_by(self.camera)
-
-    def with_bands(self) -> RenderContext:
-        """The same with `bands` of the tracer's device or machine."""
-        bare = replace(self, bands=None)  # else each would keep the one before
-        bands, machine = self.tracer.bands_on_device(bare), self.tracer.loop_machine
-        if machine is not None:
-            bands = importlib.import_module(_LOOPS).MultipassBands(bare, machine)
-        return replace(bare, bands=bands)
-
-
-def make_context(
-    tracer: Tracer,
-    camera: Camera,
-    size: tuple[int, int],
-    sampler: Sampler,
-    options: Mapping[str, Any],
-    layers: Sequence[str] = (),
-    chosen_lights: str = "auto",
-) -> RenderContext:
-    """Prepare a tracer's scene for shading; see `tables_of` for warnings."""
-    scene = tracer.scene
-    tables, kept_tables = tables_of(scene)
-    if options.get("diffuse_only"):
-        tables = tables._replace(kinds=tables.kinds & (EMITS | IS_TEXTURED))
-    lights, kept_lights = lights_of(tracer.scene, camera, chosen_lights)
-    if not options.get("light_samples", True) and not has_visible_light(
-        tracer.scene, chosen_lights
-    ):
-        warnings.warn(
-            "light_samples=False: no ray can hit this scene's lights, which are points and "
-            "directions, so the image is black; sample the lights, or add a surface or a sky that "
-            "emits",
-            RaystreamWarning,
-            stacklevel=3,
-        )
-    punctual, kept_punctual = punctual_lights_of(tracer.scene, camera, chosen_lights)
-    kept = kept_tables, kept_lights, kept_punctual
-    opacity = Opacity.of(tracer.scene, sampler.seed)
-    made = RenderContext(
-        tracer,
-        camera,
-        *size,
-        tables,
-        lights,
-        punctual,
-        sampler,
-        opacity,
-        options,
-        kept,
-        layers,
-        chosen_lights,
-        needs_light(scene, chosen_lights, background=scene.background),
-        objects=objects_of(scene, kept_tables),
-    )
-    return made.with_bands()
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from raystream.core.errors import RaystreamWarning
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.color import LUMINANCE
-from raystream.rendering.integrator import Integrator, RenderContext, make_context
+from raystream.rendering.contexts import make_context, seen_by, with_bands, with_lights
+from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.lighting import (
     ADDED,
     MEASURED,
@@ -81,7 +82,7 @@ def decide(
 def usual_context(renderer: Integrator, context: RenderContext, camera: Camera) -> RenderContext:
     """The context as in an image by the defaults of `render`, whatever the size of a window."""
     usual = Sampler.of("sobol", 0, renderer.default_samples)
-    return replace(context, sampler=usual).seen_by(camera, USUAL_SIZE)
+    return seen_by(replace(context, sampler=usual), camera, USUAL_SIZE)
 
 
 def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
@@ -131,10 +132,10 @@ def well_lit(renderer: Integrator, context: RenderContext) -> RenderContext:
     seen = replace(context, tracer=_on_cpu(tracer), bands=None)
     if _shows(renderer, seen):
         return context
-    lighter = seen.with_lights("added")
+    lighter = with_lights(seen, "added")
     if not _shows(renderer, lighter):  # paths without bounces see no light that is added
         return context
-    return replace(lighter, tracer=tracer).with_bands()
+    return with_bands(replace(lighter, tracer=tracer))
 
 
 def _on_cpu(tracer: Tracer) -> Tracer:

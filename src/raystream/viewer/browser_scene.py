@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from raystream.core.errors import RaystreamError
+from raystream.rendering.contexts import seen_by
 from raystream.rendering.integrator import RenderContext
 from raystream.scene.camera import Camera
 from raystream.viewer.messages import Message
@@ -98,7 +99,7 @@ def _context(
     prepared: PreparedTracer, settings: Settings, camera: Camera, lights: ViewLights
 ) -> RenderContext:
     context = replace(prepared.context, options=settings.mode_options)
-    return lights.lit(prepared, settings.mode, context, camera).seen_by(camera, _SIZE)
+    return seen_by(lights.lit(prepared, settings.mode, context, camera), camera, _SIZE)
 
 
 def _plain(camera: Camera) -> Camera:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from raystream.rendering.contexts import seen_by
 from raystream.rendering.render import RENDERERS
 from raystream.scene.camera import Camera
 from raystream.viewer.adaptive_resolution import (
@@ -282,7 +283,7 @@ class FrameRenderer:
         context = replace(request.prepared.context, options=settings.mode_options)
         if settings.heatmap is None:
             context = self._lights.lit(request.prepared, settings.mode, context, request.camera)
-        context = context.seen_by(request.camera, size)
+        context = seen_by(context, request.camera, size)
         samples = settings.target_samples if purpose == _SAMPLES else 1
         self._purpose = purpose
         if settings.heatmap is not None:

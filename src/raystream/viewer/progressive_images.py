@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress
+from raystream.rendering.contexts import with_bands
 from raystream.rendering.film import Film
 from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.sample_bands import trace_sample
@@ -236,4 +237,4 @@ def with_samples(context: RenderContext, samples: int) -> RenderContext:
 def _with(context: RenderContext, **changes: Any) -> RenderContext:
     """Return a changed context, also on the device."""
     made = replace(context, **changes)
-    return made.with_bands()
+    return with_bands(made)

@@ -10,8 +10,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 from raystream.rendering.color import encode_srgb
+from raystream.rendering.contexts import make_context, seen_by
 from raystream.rendering.film import Film
-from raystream.rendering.integrator import RenderContext, make_context
+from raystream.rendering.integrator import RenderContext
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
@@ -210,7 +211,7 @@ class TracerCache:
                 self._context = make_context(tracer, camera, size, Sampler.of("sobol"), {})
             elif self._context.tracer is not tracer:
                 context = replace(self._context, tracer=tracer)
-                self._context = context.seen_by(context.camera)
+                self._context = seen_by(context, context.camera)
             return self._context
 
     def _drop_oldest(self) -> None:
@@ -240,7 +241,7 @@ def _warm_up(settings: Settings, context: RenderContext) -> None:
     size, rows = (_WARMUP_SIZE, _WARMUP_SIZE), range(_WARMUP_SIZE)
     if context.tracer.structure.name == "bvh":
         size, rows = _BVH_WARMUP_SIZE, _BVH_WARMUP_ROWS
-    chosen = chosen.seen_by(context.camera, size)
+    chosen = seen_by(chosen, context.camera, size)
     light = RENDERERS[settings.mode].trace(chosen, rows, 0)
     Film(size[0], len(rows)).add_samples(0, light)
     encode_srgb(light)

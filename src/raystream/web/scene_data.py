@@ -18,7 +18,8 @@ from raystream.graphics.rendering.scene_buffers import (
 from raystream.graphics.rendering.uniforms import BandPlace, shading_uniform
 from raystream.graphics.shader_source import shader_files
 from raystream.graphics.structures import shader_structure_of
-from raystream.rendering.integrator import RenderContext, make_context
+from raystream.rendering.contexts import make_context
+from raystream.rendering.integrator import RenderContext
 from raystream.rendering.lighting import needs_light
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler

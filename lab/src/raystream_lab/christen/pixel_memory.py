@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from raystream.rendering.integrator import Integrator, make_context
+from raystream.rendering.contexts import make_context
+from raystream.rendering.integrator import Integrator
 from raystream.rendering.ray_loops import MAX_BYTES
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler

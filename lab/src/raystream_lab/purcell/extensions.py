@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 
 from raystream.core.hits import Hits
 from raystream.machines import RayCounters
-from raystream.rendering.integrator import Integrator, make_context
+from raystream.rendering.contexts import make_context
+from raystream.rendering.integrator import Integrator
 from raystream.rendering.render import RENDERERS, render
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 from raystream.machines import Queues
 from raystream.machines.schedulers import Scheduler, make_scheduler
-from raystream.rendering.integrator import Integrator, make_context
+from raystream.rendering.contexts import make_context
+from raystream.rendering.integrator import Integrator
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.tracer import Tracer
