@@ -36,7 +36,7 @@ def steps():
         return raystream, raystream.load("cornell")
 
     rs, scene = run("import, scene", load)
-    from raystream.structures.bvh.kernel_choice import KERNELS
+    from raystream.structures.bvh.batches import KERNELS
 
     # Enough rays for a probe of their coherence, and more than are traced singly.
     origins, directions = scene.camera.rays(64, 64)

@@ -15,7 +15,7 @@ from raystream.jit.threads import set_thread_count
 from raystream.rendering import progressive, sample_bands, sample_file
 from raystream.rendering.film import Film
 from raystream.rendering.limits import FIRST_SAMPLES, Limits, Pace
-from raystream.structures.bvh import kernel_choice
+from raystream.structures.bvh import batches as tables
 
 PIXELS = 16 * 12
 PICTURE = {"mode": "path", "size": (16, 12)}
@@ -291,13 +291,13 @@ def test_scene_is_read_for_a_checkpoint_only(tracer, tmp_path, monkeypatch):
 def batches(monkeypatch):
     """The rays that each call of the kernel for small batches gets."""
     seen = []
-    trace = kernel_choice.trace_wavefront
+    trace = tables.trace_wavefront
 
     def note(begin, end, *arguments):
         seen.append(end - begin)
         trace(begin, end, *arguments)
 
-    monkeypatch.setattr(kernel_choice, "trace_wavefront", note)
+    monkeypatch.setattr(tables, "trace_wavefront", note)
     yield seen
     set_thread_count(None)
 

@@ -23,7 +23,7 @@ import raystream as rs
 from conftest import child_environment
 from meshes import dented_sphere, soup
 from raystream.jit.cache import KernelCache
-from raystream.structures.bvh.kernel_choice import KERNELS
+from raystream.structures.bvh.batches import KERNELS
 
 IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
 

@@ -8,9 +8,9 @@ import pytest
 import raystream as rs
 from raystream.core.query import Kind
 from raystream.machines import batch
-from raystream.machines import race as races_of_kernels
-from raystream.machines.race import LEAST_RACE, Races, race
-from raystream.structures.bvh.kernel_choice import BATCH_KERNELS
+from raystream.machines.batch import LEAST_RACE, race
+from raystream.machines.race import Races
+from raystream.structures.bvh.batches import BATCH_KERNELS
 
 COUNT = 100_000
 
@@ -22,7 +22,7 @@ class FakeKernels:
         self.rates, self.now = rates, 0.0
         self.rays = dict.fromkeys(rates, 0)
         self.pieces = []
-        monkeypatch.setattr(races_of_kernels, "clock", lambda: self.now)
+        monkeypatch.setattr(batch, "clock", lambda: self.now)
 
     def run(self, name, begin, end):
         self.now += self.rates[name] * (end - begin)
@@ -153,7 +153,7 @@ def test_bits_do_not_depend_on_the_winner(monkeypatch, rng):
         with monkeypatch.context() as patch:
             patch.setattr(batch, "_trace_piece", timed)
             patch.setattr(batch, "_loaded", {(one.bind, False) for one in kernels.values()})
-            patch.setattr(races_of_kernels, "clock", lambda now=now: now[0])
+            patch.setattr(batch, "clock", lambda now=now: now[0])
             for _ in range(3):
                 got = tracer.first_hit(origins, directions)
                 for name in ("t", "u", "v", "prim_id"):

@@ -1,4 +1,6 @@
-"""The nearest hits of rays that are traced together, and the one rule by which a hit is kept.
+"""The nearest hits of rays that are traced together, and the rule by which a hit is kept.
+
+Those of single rays are kept by the same order: `kernels.search`.
 
 A hit is kept by its reported t, then by the number of its triangle; `told` is a reported t. In a
 scene without instances, that is t in the tree's space; in an instance, t in world space.

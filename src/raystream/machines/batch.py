@@ -3,11 +3,18 @@
 A structure declares its kernels (`structures.batch_kernels`). Which of them traces a batch is said
 by the structure's option, or by a sample of the rays and, for large batches, by a race of those
 that may be the fastest.
+
+All kernels give the same bits, so no ray of a race is traced twice. The kernel that is thought the
+fastest traces two pieces of an eighth of the batch; its rivals trace smaller ones between them, so
+that a rival of half the speed costs a few percent. A rival that was not much slower traces a larger
+piece: lists of few rays share few nodes. The fastest traces the rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import threading
+import time
+from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
 from contextlib import closing
 from typing import NamedTuple
 
@@ -21,7 +28,7 @@ from raystream.jit.threads import Progress, check_stopped, parallel_for, part_of
 from raystream.kernels.aligned import ALIGNMENT, aligned_array, array_address
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import RaySource
-from raystream.machines.race import LEAST_RACE, Races, race
+from raystream.machines.race import Races
 from raystream.structures import Structure
 from raystream.structures.batch_kernels import (
     SINGLE,
@@ -43,6 +50,33 @@ _MOST_SPARE, _MOST_SPARE_BYTES = 4, 1 << 26
 #: Memory of calls that have ended, for later ones: new pages took a tenth of the time. Several
 #: threads append and pop.
 _spare: list[NDArray[np.float32]] = []
+
+#: Batches of fewer rays are not raced: threads would start and end too often.
+LEAST_RACE = 1 << 16
+
+#: Pieces of the kernel that is thought the fastest, of its rivals, and of rivals in doubt, relative
+#: to the batch.
+_FAVOURITE = 1 / 8
+_RIVAL = 1 / 48
+_IN_DOUBT = 1 / 12
+
+#: Least rays of a piece.
+_LEAST_PIECE = 4096
+
+#: A rival is in doubt if it took at most this many times as long as the favourite.
+_NEAR = 2.0
+
+#: Rays of a batch to trace by a kernel: (kernel, first ray, end).
+Piece = tuple[str, int, int]
+
+#: The last place at or before a ray where a batch may be divided.
+Cut = Callable[[int], int]
+
+#: Held by a race.
+_racing = threading.Lock()
+
+#: The time, in seconds.
+clock = time.perf_counter
 
 #: Of kernels for single rays.
 _NO_ORDER = BatchOrder(PacketOrder.of_rows(0, 0))
@@ -127,6 +161,74 @@ def _suited(
     known = [name for name in rivals if name in table.kernels and count >= LEAST_RACE]
     kind = query.kind is Kind.ANY_HIT, query.on_hit is not None, count.bit_length(), *found.kind()
     return kind, (best, *known)
+
+
+def race(
+    races: Races, kind: Hashable, names: Sequence[str], cold: Sequence[str], count: int, cut: Cut
+) -> Generator[Piece, None, None]:
+    """Decide which kernel traces which rays of a batch; the caller traces each piece at once.
+
+    Parameters
+    ----------
+    races : Races
+    kind : hashable
+        Of the batch.
+    names : sequence of str
+        Kernels; the first one is the guess.
+    cold : sequence of str
+        Kernels to run before they are timed, as they must be loaded.
+    count : int
+        Rays of the batch.
+    cut : callable
+
+    Notes
+    -----
+    One race at a time: two would measure each other. A batch that is due meanwhile is not raced.
+    """
+    if not races.is_due(kind, not cold) or not _racing.acquire(blocking=False):
+        yield races.fastest(kind, names), 0, count
+        return
+    try:
+        yield from _pieces(races, kind, names, cold, count, cut)
+    finally:
+        _racing.release()
+
+
+def _pieces(
+    races: Races, kind: Hashable, names: Sequence[str], cold: Sequence[str], count: int, cut: Cut
+) -> Generator[Piece, None, None]:
+    """Pieces by each kernel, the rest by the fastest."""
+    at = first = cut(int((0.5 - _FAVOURITE) * count))
+
+    def timed(name: str, share: float) -> Generator[Piece, None, float]:
+        """The next piece; returns its seconds per ray, 0 if it has none."""
+        nonlocal at
+        begin, at = at, cut(at + max(int(share * count), _LEAST_PIECE))
+        if begin >= at:
+            return 0.0
+        started = clock()
+        yield name, begin, at
+        return (clock() - started) / (at - begin)
+
+    for name in cold:
+        yield from timed(name, 0.0)
+    favourite, rates = races.fastest(kind, names), {}
+    before = yield from timed(favourite, _FAVOURITE)
+    for name in names:
+        if name == favourite:
+            continue
+        rates[name] = yield from timed(name, _RIVAL)
+        if rates[name] <= _NEAR * before:
+            # Alone: the first piece may have been too small.
+            rates[name] = yield from timed(name, _IN_DOUBT)
+    behind = yield from timed(favourite, _FAVOURITE)
+    # The faster of its pieces: another program that runs during one of them does not decide.
+    rates[favourite] = min(filter(None, (before, behind)), default=0.0)
+    races.learn(kind, {name: rate for name, rate in rates.items() if rate})
+    winner = races.fastest(kind, names)
+    for begin, end in ((0, first), (at, count)):
+        if begin < end:
+            yield winner, begin, end
 
 
 def _key_of(kernel: BatchKernel, query: Query) -> tuple[Callable[..., object], bool]:

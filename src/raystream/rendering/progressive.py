@@ -23,7 +23,7 @@ from raystream.rendering.limits import FIRST_SAMPLES, Limits, Pace
 from raystream.rendering.sample_bands import Sampled, rows_per_band, trace_samples
 from raystream.rendering.sample_file import SampleFile
 from raystream.rendering.shading.aovs import AovBuffers
-from raystream.structures.bvh.kernel_choice import SMALL_BATCH
+from raystream.structures.bvh.batches import SMALL_BATCH
 
 #: Most samples that are traced at once, so that threads need not wait for each other after each:
 #: half a second of them, since an interrupt discards them, and 64 MB of their light and layers.

@@ -24,8 +24,8 @@ from raystream.structures.batch_kernels import (
     CallSize,
     by_kind,
 )
+from raystream.structures.bvh.batches import nearest_kernel
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.kernel_choice import nearest_kernel
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels, count_all
 from raystream.structures.bvh.packets.queries import TREES
 

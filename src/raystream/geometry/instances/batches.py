@@ -15,8 +15,8 @@ from raystream.structures.batch_kernels import (
     CallSize,
     by_kind,
 )
+from raystream.structures.bvh.batches import NEAREST_SIZE, nearest_kernel
 from raystream.structures.bvh.coherence import Coherence
-from raystream.structures.bvh.kernel_choice import NEAREST_SIZE, nearest_kernel
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
 from raystream.structures.bvh.packets.queries import NEAREST, packet_kernel
 

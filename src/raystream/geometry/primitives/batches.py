@@ -15,13 +15,13 @@ from raystream.structures.batch_kernels import (
     Calls,
     by_kind,
 )
-from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.kernel_choice import (
+from raystream.structures.bvh.batches import (
     CACHED_BYTES,
     IN_FLIGHT_SIZE,
     SMALL_BATCH,
     nearest_kernel,
 )
+from raystream.structures.bvh.coherence import Coherence, choose_kernel
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
 from raystream.structures.bvh.packets.queries import NEAREST, packet_kernel
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.bvh.batches import BATCH_KERNELS
 from raystream.structures.bvh.build import build_arrays
-from raystream.structures.bvh.kernel_choice import BATCH_KERNELS
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses, check_arrays
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.refit import refit
