@@ -253,6 +253,19 @@ class TestCheckArrays:
         with pytest.raises(ValueError, match="out of range or has two parents"):
             self.check(triangles, nodes=change)
 
+    def test_a_leaf_made_a_split_with_the_children_of_another(self, triangles):
+        """Its nodes would lie deeper than where they are found last, and a stack overflow."""
+
+        def change(nodes):
+            is_inner = nodes[:, 1] & 3 != 3
+            last = np.flatnonzero(is_inner)[-1]
+            leaf = np.flatnonzero(~is_inner & (np.arange(len(nodes)) < nodes[last, 1] >> 2))[0]
+            nodes[leaf] = nodes[last]
+            return nodes
+
+        with pytest.raises(ValueError, match="out of range or has two parents"):
+            self.check(triangles, nodes=change)
+
     @pytest.mark.parametrize("position", [np.nan, np.inf, -np.inf])
     def test_a_plane_nowhere(self, triangles, position):
         def change(nodes):

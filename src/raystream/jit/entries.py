@@ -19,7 +19,7 @@ _ENTRIES: WeakKeyDictionary[Any, dict[bytes, Callable[..., Any]]] = WeakKeyDicti
 
 
 def entry_of(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Callable[..., Any]:
-    """What a call of a kernel with these arguments runs, compiled if it was not.
+    """The machine code for a kernel's argument types, compiled on first use.
 
     Parameters
     ----------
@@ -34,7 +34,11 @@ def entry_of(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Callab
     """
     if not isinstance(function, CPUDispatcher):
         return function
-    entries, types = _ENTRIES.setdefault(function, {}), compute_fingerprint(arguments)
+    try:
+        types = compute_fingerprint(arguments)
+    except NotImplementedError:  # Numba has none for some arguments, such as functions
+        return function
+    entries = _ENTRIES.setdefault(function, {})
     if types not in entries:
         entries[types] = function.compile(tuple(map(typeof, arguments)))
     return entries[types]

@@ -12,6 +12,7 @@ piece: lists of few rays share few nodes. The fastest traces the rest.
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
@@ -42,9 +43,8 @@ from raystream.structures.bvh.coherence import probe
 from raystream.structures.bvh.packets.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.packets.rays import PacketOrder
 
-#: Most spare memories, and bytes of each: up to 42 MB for instances, of which calls have written a
-#: small part.
-#: Those for very many nearest triangles of a point are not kept.
+#: Spare memories to keep, about, and the most bytes of each: up to 42 MB for instances, of which
+#: calls have written a small part. Those for very many nearest triangles of a point are not kept.
 _MOST_SPARE, _MOST_SPARE_BYTES = 4, 1 << 26
 
 #: Memory of calls that have ended, for later ones: new pages took a tenth of the time. Several
@@ -75,6 +75,7 @@ Cut = Callable[[int], int]
 #: Held by a race.
 _racing = threading.Lock()
 
+
 #: The time, in seconds.
 clock = time.perf_counter
 
@@ -83,6 +84,16 @@ _NO_ORDER = BatchOrder(PacketOrder.of_rows(0, 0))
 
 #: Kernels that have traced a batch in this process, without or with a filter: those are loaded.
 _loaded: set[tuple[Callable[..., object], bool]] = set()
+
+
+def _forget_race() -> None:
+    """A race of the parent's does not end in a forked child."""
+    global _racing
+    _racing = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_race)
 
 
 def trace_batch(
@@ -185,13 +196,14 @@ def race(
     -----
     One race at a time: two would measure each other. A batch that is due meanwhile is not raced.
     """
-    if not races.is_due(kind, not cold) or not _racing.acquire(blocking=False):
+    held = _racing
+    if not races.is_due(kind, not cold) or not held.acquire(blocking=False):
         yield races.fastest(kind, names), 0, count
         return
     try:
         yield from _pieces(races, kind, names, cold, count, cut)
     finally:
-        _racing.release()
+        held.release()
 
 
 def _pieces(

@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import kernel
+from raystream.jit.threads import parallel_for
 from raystream.kernels.leaf_block import BLOCK_SIZE
+
+#: Lists of a call of their check: those of a hostile file may overlap, and take long.
+_LISTS = 4096
 
 
 def take(
@@ -86,16 +90,24 @@ def check_blocks(
     missing = solid.copy()
     # In all blocks, also those in no list: corners are looked up for each.
     in_range = prim_ids.min(initial=-1) >= -1 and prim_ids.max(initial=-1) < len(solid)
-    if not (in_range and _are_listed(prim_ids, first, count, solid, missing)):
+    faults: list[int] = []
+
+    def check_some(begin: int, end: int) -> None:
+        if not _are_listed(begin, end, prim_ids, first, count, solid, missing):
+            faults.append(begin)
+
+    if in_range:
+        parallel_for(check_some, len(first), _LISTS)
+    if faults or not in_range:
         raise ValueError(f"a {cell} lists an invalid triangle, or too few")
     if missing.any():
         raise ValueError(f"a triangle of the scene is in no {cell}")
 
 
 @kernel
-def _are_listed(prim_ids, firsts, counts, solid, missing):
-    """Whether lists hold solid triangles, and -1 after them; `missing` becomes false for these."""
-    for row in range(len(firsts)):
+def _are_listed(begin, end, prim_ids, firsts, counts, solid, missing):
+    """Whether some lists hold solid triangles, and then -1; `missing` becomes false for these."""
+    for row in range(begin, end):
         first, count = firsts[row], counts[row]
         for i in range(-(-count // BLOCK_SIZE) * BLOCK_SIZE):
             prim_id = np.int64(prim_ids[first + i // BLOCK_SIZE, i % BLOCK_SIZE])

@@ -22,7 +22,7 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import store
 from raystream.jit.views import view
 from raystream.kernels.ray import Ray, prepare_ray
-from raystream.kernels.ray_source import local_ray
+from raystream.kernels.ray_source import WorldRay, local_ray
 from raystream.kernels.search import enter_instance, is_full
 from raystream.structures.bvh.layout import CHILDREN_AT, WIDTH
 
@@ -90,7 +90,9 @@ def _at_leaf(place, ray, search, link, stack, top):
     else:
         instance = InstanceRecord(place.leaves, np.uint64(np.int32(~link) >> _LEAF_SHIFT))
         object_ = ObjectRecord(outside.objects, np.uint64(instance.object_id))
-        one = local_ray(outside.world, object_, instance)
+        world = outside.world
+        whole = WorldRay(world.origin, world.direction, world.t_min, world.t_max)
+        one = local_ray(whole, object_, instance)
         inner = enter_instance(search, one, instance.first_id)
         if inner.t_min <= inner.t_far and object_.nodes != NULL:
             store(top, _LEAVE)

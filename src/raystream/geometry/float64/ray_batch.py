@@ -41,4 +41,5 @@ def _moved(limit: NDArray[Any], is_short: NDArray[np.bool_], toward: float) -> N
     """Move some limits by a step: they were rounded to nearest."""
     if not is_short.any():
         return limit
-    return np.where(is_short, np.nextafter(limit, np.float32(toward)), limit)
+    with np.errstate(over="ignore"):
+        return np.where(is_short, np.nextafter(limit, np.float32(toward)), limit)

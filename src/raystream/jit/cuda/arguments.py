@@ -33,6 +33,8 @@ def with_addresses(arguments: Any) -> Any:
     """Arguments with the addresses of arrays in place of these."""
     if isinstance(arguments, tuple):
         return _tuple_like(arguments, map(with_addresses, arguments))
+    if isinstance(arguments, int) and type(arguments) is not bool:
+        return int(arguments)  # members of an IntEnum have a type of their own
     return arguments.address if type(arguments) is DeviceArray else arguments
 
 
@@ -46,7 +48,7 @@ def kind_of(arguments: Any) -> Any:
     kind = type(arguments)
     if isinstance(arguments, tuple):
         return kind, *map(kind_of, arguments)
-    if kind is int:
+    if kind is not bool and isinstance(arguments, int):
         return np.int64 if arguments < _LEAST_UNSIGNED else np.uint64
     return np.uint64 if kind is DeviceArray else kind
 
@@ -64,6 +66,8 @@ def flat(arguments: Any) -> Iterator[Any]:
             yield from flat(one)
         elif kind in _CONVERTED:
             yield _CONVERTED[kind](one)
+        elif isinstance(one, int):  # such as a member of an IntEnum
+            yield _CONVERTED[int](int(one))
         else:
             yield one
 

@@ -39,7 +39,7 @@ def _fill_extents(axes, planes, targets, sides, hulls):
 
     Parameters
     ----------
-    axes, planes : ndarray of shape (N,), uint32 and float32
+    axes, planes : ndarray of shape (N,), int64 and float32
         Of the link nodes.
     targets : ndarray of shape (N, 2), int32
         The vertices below and above a node's plane: sectors first, then link nodes, which come

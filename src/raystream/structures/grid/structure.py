@@ -95,7 +95,7 @@ class GridStructure(Structure):
 
     @property
     def tests_per_ray(self) -> int:
-        """Half of the most cells and triangles that a ray visits, about; few visit so many."""
+        """Half of the most cells and triangles that a ray visits, about; few visit as many."""
         sizes = np.diff(self.lists.splits)
         sizes[self.fine.cells] = 0
         inner = np.diff(self.fine.lists.splits)

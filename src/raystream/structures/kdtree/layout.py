@@ -141,10 +141,9 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], solid: NDArray[np.bool_]) -
             raise ValueError(f"a tree cannot have {len(nodes):,} nodes")
         splits = np.flatnonzero(~is_leaf)
         left = nodes[splits, 1] >> 2
-        # Greater rows than the parent's: no cycle. Half as many pairs as nodes, each once: one
-        # parent.
-        is_bad = (left <= splits) | (left + 1 >= len(nodes)) | (left % 2 == 0)
-        if is_bad.any() or len(np.unique(left)) != len(nodes) // 2:
+        # Greater rows than the parent's: no cycle. Each pair of children once: one parent.
+        is_after = (left > splits).all()
+        if not (is_after and np.array_equal(np.sort(left), np.arange(1, len(nodes), 2))):
             raise ValueError("a node's child is out of range or has two parents")
         positions = nodes.view(np.float32)
         if not np.isfinite(positions[splits, 0]).all():

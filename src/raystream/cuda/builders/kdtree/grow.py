@@ -15,7 +15,6 @@ from raystream.jit.cuda.scan import scan_in_place
 from raystream.structures.clip import BOUND
 from raystream.structures.kdtree.build import LEAST_ROOM, MAX_REFERENCES, root_box
 from raystream.structures.kdtree.layout import MAX_NODES
-from raystream.structures.kdtree.options import MAX_DEPTH
 from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.subtree import BuildSettings
 
@@ -101,7 +100,7 @@ class _Grower:
     ) -> None:
         self.gpu, self.triangles, self.corners = gpu, triangles, corners
         self.costs = Costs(*map(float, settings.costs))
-        self.max_depth = min(settings.max_depth, MAX_DEPTH)
+        self.max_depth = settings.max_depth
         self.max_leaf_size = settings.max_leaf_size
         self.bound = float(triangles.max_coordinate) * BOUND
         self.grown = GrownTriangles(corners, np.float64(self.bound), np.int64(settings.overlap))
