@@ -21,8 +21,8 @@ from raystream.jit.constants import NULL, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import store
 from raystream.jit.views import view
-from raystream.kernels.ray import Ray, prepare_ray
-from raystream.kernels.ray_source import WorldRay, local_ray
+from raystream.kernels.ray import Ray, WorldRay, prepare_ray
+from raystream.kernels.ray_source import local_ray
 from raystream.kernels.search import enter_instance, is_full
 from raystream.structures.bvh.layout import CHILDREN_AT, WIDTH
 
