@@ -60,7 +60,7 @@ class Primitives(Store):
         If there are too many primitives.
     """
 
-    kinds = ("primitives",)
+    has_primitives = True
     attributes: Attributes
 
     def __init__(
@@ -72,6 +72,8 @@ class Primitives(Store):
     ) -> None:
         self._given = triangles, tuple(fields), spheres, attributes
         self.fields, self.spheres, self.attributes = tuple(fields), spheres, attributes
+        # Without either, that of an empty list of spheres.
+        self.kinds = ("fields",) * bool(fields) + ("spheres",) * bool(len(spheres) or not fields)
         counts = np.array([len(triangles), *map(len, fields)], np.int64)
         self.first_fields = np.cumsum(counts)
         kernel_count = int(self.first_fields[-1]) + 2 * len(spheres)

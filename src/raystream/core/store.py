@@ -31,6 +31,8 @@ class Store:
         What it is besides triangles in float32; `scene_kinds` has what these kinds support.
     number_type : type
         Of t, u, v and normals of hits.
+    has_primitives : bool
+        Whether there may be spheres and height fields.
     instances : Instances or None
     world_count : int
         0 without instances in worlds.
@@ -48,6 +50,7 @@ class Store:
 
     kinds: tuple[str, ...] = ()
     number_type: type[np.floating[Any]] = np.float32
+    has_primitives: bool = False
     instances: Instances | None = None
     world_count: int = 0
     attributes: Attributes | None = None

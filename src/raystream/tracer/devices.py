@@ -72,7 +72,8 @@ class Device(NamedTuple):
 _STRUCTURES = {
     "float64": "raystream.geometry.float64.structure",
     "instances": "raystream.geometry.instances.structure",
-    "primitives": "raystream.geometry.primitives.structure",
+    "fields": "raystream.geometry.primitives.structure",
+    "spheres": "raystream.geometry.primitives.structure",
 }
 
 

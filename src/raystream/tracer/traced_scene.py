@@ -260,7 +260,7 @@ class TracedScene:
     def _update_views(self, scene: Any) -> UpdateReport:
         """Take another scene of the same primitives: its camera and lights."""
         if not isinstance(scene, Scene) or scene.triangles is not self.scene.triangles:
-            raise ValueError(f"update: {REFUSALS['primitives']}; make another tracer")
+            raise ValueError(f"update: {REFUSALS['spheres']}; make another tracer")
         self._set(scene, self.structure)
         return UpdateReport(False, 0.0, math.nan, math.nan)
 
@@ -434,7 +434,7 @@ class TracedScene:
 
     def __repr__(self) -> str:
         held = self.structure.triangles
-        what = "primitives" if "primitives" in held.kinds else "triangles"
+        what = "primitives" if held.has_primitives else "triangles"
         placed = held.instances
         instances = "" if placed is None else f", {len(placed):,} instances"
         device = "" if self.device == "cpu" else f", device={self.device!r}"

@@ -270,11 +270,11 @@ def test_other_structures_say_so(structure) -> None:
 
 def test_what_is_not_supported_says_so() -> None:
     scene = rs.Scene.spheres([[0, 0, 5]], 1.0)
-    with pytest.raises(ValueError, match="height fields; use device='cpu', machine='branching'"):
+    with pytest.raises(ValueError, match="spheres; use device='cpu', machine='branching'"):
         rs.Tracer(scene, machine="multipass")
     tracer = rs.Tracer(scene)
     ray = [0, 0, 0], [0, 0, 1]
-    wanted = "not supported in a scene with spheres or height fields"
+    wanted = "not supported in a scene with spheres"
     for refused in (
         lambda: tracer.first_hit(*ray, skip_prim_ids=0),
         lambda: tracer.trace(*ray, on_hit=lambda hit, payload: None),
