@@ -160,7 +160,8 @@ def _saved(tracer: rs.Tracer, path: Path) -> None:
     for scene in (None, tracer.scene):
         loaded = rs.Tracer.load(path, scene)
         found, wanted = (one.first_hit(*RAY, **_world(one)) for one in (loaded, tracer))
-        assert found.t == wanted.t and found.prim_id == wanted.prim_id
+        assert found.t == wanted.t
+        assert found.prim_id == wanted.prim_id
 
 
 def _pack(tracer: rs.Tracer) -> Any:

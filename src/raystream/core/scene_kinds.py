@@ -85,8 +85,8 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             "`Tracer.update`",
             notes={
                 "instances": "transforms, camera, lights",
-                "spheres": "camera, lights",
-                "fields": "camera, lights",
+                "spheres": "a scene of as many",
+                "fields": "a scene of as many samples",
             },
         ),
         "render": Feature(("instances", *_PRIMITIVES), "`render`", _SHADING),
@@ -94,24 +94,22 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             _PLACED, "`render`, with materials that are not opaque", _PROGRAM
         ),
         "heatmap": Feature(("instances", *_PRIMITIVES), "`heatmap`", _COUNTS),
-        "lidar_returns": Feature(
-            ("instances", *_PRIMITIVES), "`lidar_returns`, `lidar_sweep`", _TRIANGLES
-        ),
-        "thickness": Feature(("instances",), "`thickness`", _TRIANGLES),
+        "lidar_returns": Feature(_ONE_WORLD, "`lidar_returns`, `lidar_sweep`"),
+        "thickness": Feature(_ONE_WORLD, "`thickness`"),
         "visibility": Feature(_ONE_WORLD, "`visibility` between points"),
-        "points on surfaces": Feature(_PLACED, "`visibility` of hits", _TRIANGLES),
-        "surface_points": Feature(_PLACED, "`surface_points`", _TRIANGLES),
-        "out": Feature(_PLACED, "`visibility` with ``out=``", _TRIANGLES),
+        "points on surfaces": Feature(_ALL, "`visibility` of hits"),
+        "surface_points": Feature(_ALL, "`surface_points`"),
+        "out": Feature(_ALL, "`visibility` with ``out=``"),
         "cutouts=True, with surfaces that are not opaque": Feature(
             _PLACED, "cut-outs in analyses", _PROGRAM
         ),
-        "visible_faces": Feature(("instances",), "`visible_faces`", _TRIANGLES),
+        "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
         "view_factors": Feature((), "`view_factors`", _PATCHES),
         "closest points": Feature((), "`closest_point`, `signed_distance`", _NEAREST),
         "inside tests": Feature((), "`contains`", _TRIANGLES),
         "winding numbers": Feature((), "`winding_number`", _TRIANGLES),
-        "query_zarr": Feature(("instances",), "`query_zarr`", _TRIANGLES),
-        "save": Feature((), "`Tracer.save`", _FORMAT),
+        "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
+        "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
         "raystream.torch": Feature((), "`raystream.torch`", _TRIANGLES),
         "raystream.jax": Feature((), "`raystream.jax`", _TRIANGLES),
         "a cluster": Feature((), "clusters", _FORMAT),
