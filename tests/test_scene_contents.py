@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.core.scene_kinds import FEATURES as DECLARED
+from raystream.core.scene_kinds import is_supported
 from raystream.stepper import walk
 
 RAY = [278.0, 273.0, -800.0], [0.0, 0.0, 1.0]
@@ -20,7 +23,8 @@ POINTS = [[278.0, 273.0, -800.0], [278.0, 273.0, 100.0]]
 SAYS = {
     "instances": "scene with instances",
     "worlds": "worlds",
-    "spheres": "scene with spheres or height fields",
+    "spheres": "scene with spheres",
+    "fields": "scene with height fields",
     "float64": "precision='float64'",
 }
 
@@ -33,6 +37,9 @@ def tracer_of(kind: str, structure: str = "bvh", device: str = "cpu") -> rs.Trac
     if kind == "spheres":
         ball = rs.Scene.spheres([[278, 273, 280]], 50.0)
         return rs.Tracer(rs.Scene.combine([box, ball], camera=box.camera), structure, device)
+    if kind == "fields":
+        ground = rs.Scene.height_field(np.zeros((3, 3)), origin=(200, 200, 1), spacing=50.0)
+        return rs.Tracer(rs.Scene.combine([box, ground], camera=box.camera), structure, device)
     worlds = [0, 0] if kind == "worlds" else None
     transforms = np.tile(np.eye(4)[:3], (2, 1, 1))
     transforms[1, 0, 3] = 2000.0
@@ -48,59 +55,129 @@ def accept(hit: Any) -> bool:
     return True
 
 
-#: A feature, and the kinds of scene that it refuses.
-FEATURES: dict[str, tuple[Callable[[rs.Tracer], Any], str]] = {
-    "first_hit": (lambda t: t.first_hit(*RAY, **_world(t)), ""),
-    "any_hit": (lambda t: t.any_hit(*RAY, **_world(t)), ""),
-    "multi_hit": (lambda t: t.multi_hit(*RAY, **_world(t)), ""),
-    "count_hits": (lambda t: t.count_hits(*RAY, **_world(t)), ""),
-    "surfaces": (lambda t: t.count_hits(*RAY, crossings="surfaces", **_world(t)), ""),
-    "memory_needed": (lambda t: t.memory_needed(1000), ""),
+#: Calls, and the names of the features that they need: see `core.scene_kinds.FEATURES`.
+FEATURES: dict[str, tuple[Callable[[rs.Tracer, Path], Any], str]] = {
+    "first_hit": (lambda t, _: t.first_hit(*RAY, **_world(t)), "queries"),
+    "any_hit": (lambda t, _: t.any_hit(*RAY, **_world(t)), "queries"),
+    "multi_hit": (lambda t, _: t.multi_hit(*RAY, **_world(t)), "queries"),
+    "count_hits": (lambda t, _: t.count_hits(*RAY, **_world(t)), "queries"),
+    "surfaces": (
+        lambda t, _: t.count_hits(*RAY, crossings="surfaces", **_world(t)),
+        "queries",
+    ),
+    "memory_needed": (lambda t, _: t.memory_needed(1000), "queries"),
+    "cast": (lambda t, _: t.cast(*RAY), "cast"),
+    "brute": (lambda t, _: _again(t, structure="brute"), "structure='brute'"),
+    "worlds": (lambda t, _: _with_worlds(t).first_hit(*RAY, worlds=0), "worlds"),
+    "counters": (
+        lambda t, _: _again(t, counters=True).count_hits(*RAY, **_world(t)),
+        "counters=True",
+    ),
+    "filter": (
+        lambda t, _: t.first_hit(*RAY, on_hit=accept, **_world(t)),
+        "on_hit, skip_prim_ids",
+    ),
+    "skip": (
+        lambda t, _: t.any_hit(*RAY, skip_prim_ids=0, **_world(t)),
+        "on_hit, skip_prim_ids",
+    ),
+    "trace": (lambda t, _: t.trace(*RAY, on_hit=keep, payload=float, **_world(t)), "trace"),
     "update of the camera": (
-        lambda t: t.update(t.scene.replace(camera=rs.Camera((0, 0, 0), (0, 0, 1)))),
-        "",
+        lambda t, _: t.update(t.scene.replace(camera=rs.Camera((0, 0, 0), (0, 0, 1)))),
+        "update",
     ),
-    "filter": (lambda t: t.first_hit(*RAY, on_hit=accept, **_world(t)), "spheres float64"),
-    "skip": (lambda t: t.any_hit(*RAY, skip_prim_ids=0, **_world(t)), "spheres float64"),
-    "trace": (
-        lambda t: t.trace(*RAY, on_hit=keep, payload=float, **_world(t)),
-        "spheres float64",
+    "render": (lambda t, _: rs.render(t, "raycast", size=(8, 8)), "render"),
+    "render glass": (
+        lambda t, _: rs.render(_cut_out(t), "raycast", size=(8, 8)),
+        "render, materials that are not opaque",
     ),
-    "cast": (lambda t: t.cast(*RAY), "worlds"),
-    "render": (lambda t: rs.render(t, "raycast", size=(8, 8)), "worlds float64"),
-    "heat map": (lambda t: rs.heatmap(t.scene, size=(8, 8)), "worlds"),
-    "closest_point": (
-        lambda t: t.closest_point(POINTS),
-        "instances worlds spheres float64",
-    ),
-    "signed_distance": (
-        lambda t: t.signed_distance(POINTS),
-        "instances worlds spheres float64",
-    ),
-    "contains": (lambda t: t.contains(POINTS), "instances worlds spheres float64"),
-    "winding_number": (
-        lambda t: t.winding_number(POINTS),
-        "instances worlds spheres float64",
-    ),
-    "walk": (lambda t: walk(t, *RAY), "instances worlds spheres float64"),
-    "thickness": (lambda t: rs.thickness(t, *RAY), "worlds spheres float64"),
-    "lidar_returns": (lambda t: rs.lidar_returns(t, *RAY), "worlds float64"),
-    "visibility": (lambda t: rs.visibility(t, POINTS), "worlds"),
-    "visible_faces": (lambda t: rs.visible_faces(t, size=(8, 8)), "worlds spheres float64"),
-    "view_factors": (
-        lambda t: rs.view_factors(t, rays=64),
-        "instances worlds spheres float64",
+    "heat map": (lambda t, _: rs.heatmap(_again(t, counters=True), size=(8, 8)), "heatmap"),
+    "lidar_returns": (lambda t, _: rs.lidar_returns(t, *RAY), "lidar_returns"),
+    "thickness": (lambda t, _: rs.thickness(t, *RAY), "thickness"),
+    "visibility": (lambda t, _: rs.visibility(t, POINTS), "visibility"),
+    "visibility of hits": (
+        lambda t, _: rs.visibility(t, t.first_hit(*RAY, **_world(t))),
+        "visibility, points on surfaces",
     ),
     "surface_points": (
-        lambda t: rs.surface_points(t, [0], instance_ids=_instances(t)),
-        "spheres float64",
+        lambda t, _: rs.surface_points(t, [0], instance_ids=_instances(t)),
+        "surface_points",
     ),
+    "out": (
+        lambda t, path: rs.visibility(t, POINTS, out=path / "seen.npy"),
+        "visibility, out",
+    ),
+    "cut-outs": (
+        lambda t, _: rs.visibility(_cut_out(t), POINTS),
+        "visibility, cutouts=True, with surfaces that are not opaque",
+    ),
+    "visible_faces": (lambda t, _: rs.visible_faces(t, size=(8, 8)), "visible_faces"),
+    "view_factors": (lambda t, _: rs.view_factors(t, rays=64), "view_factors"),
+    "closest_point": (lambda t, _: t.closest_point(POINTS), "closest points"),
+    "signed_distance": (
+        lambda t, _: t.signed_distance(POINTS, method="winding"),
+        "closest points, inside tests",
+    ),
+    "contains": (lambda t, _: t.contains(POINTS, method="winding"), "inside tests"),
+    "winding_number": (lambda t, _: t.winding_number(POINTS), "winding numbers"),
+    "query_zarr": (lambda t, path: _query_file(t, path), "query_zarr"),
+    "save": (lambda t, path: _saved(t, path / "a.npz"), "save"),
+    "clusters": (lambda t, _: _pack(t), "a cluster"),
+    "walk": (lambda t, _: walk(t, *RAY), "walk"),
 }
+
+
+def _again(tracer: rs.Tracer, structure: str = "bvh", **options: Any) -> rs.Tracer:
+    """Another tracer of the same scene."""
+    precision = tracer.structure.precision
+    if tracer.device != "cpu":
+        options["device"] = tracer.device
+    return rs.Tracer(tracer.scene, structure, precision=precision, **options)
+
+
+@cache
+def _cut_out(tracer: rs.Tracer) -> rs.Tracer:
+    """The same with a material that is not opaque."""
+    first, *others = tracer.scene.materials
+    changed = dataclasses.replace(first, opacity=0.25)
+    return _again_of(tracer, tracer.scene.replace(materials=[changed, *others]))
+
+
+def _again_of(tracer: rs.Tracer, scene: rs.Scene) -> rs.Tracer:
+    return rs.Tracer(scene, device=tracer.device, precision=tracer.structure.precision)
+
+
+def _query_file(tracer: rs.Tracer, path: Path) -> Any:
+    zarr = pytest.importorskip("zarr")
+    group = zarr.open_group(path / "rays.zarr", mode="w")
+    for name, row in zip(("origins", "directions"), RAY, strict=True):
+        group.create_array(name, data=np.tile(np.float32(row), (4, 1)))
+    return rs.query_zarr(tracer, path / "rays.zarr", path / "hits.zarr")
+
+
+def _saved(tracer: rs.Tracer, path: Path) -> None:
+    tracer.save(path)
+    for scene in (None, tracer.scene):
+        loaded = rs.Tracer.load(path, scene)
+        found, wanted = (one.first_hit(*RAY, **_world(one)) for one in (loaded, tracer))
+        assert found.t == wanted.t
+        assert found.prim_id == wanted.prim_id
+
+
+def _pack(tracer: rs.Tracer) -> Any:
+    from raystream.cluster.tracer_bundles import pack_tracer
+
+    return pack_tracer(tracer, "bvh", "cpu", {}, for_rendering=False)
 
 
 def _world(tracer: rs.Tracer) -> dict[str, Any]:
     placed = tracer.scene.placements
     return {} if placed is None or placed.worlds is None else {"worlds": 0}
+
+
+def _with_worlds(tracer: rs.Tracer) -> rs.Tracer:
+    """The same in worlds, if it has instances."""
+    return tracer if tracer.scene.placements is None else tracer_of("worlds")
 
 
 def _instances(tracer: rs.Tracer) -> list[int] | None:
@@ -109,33 +186,35 @@ def _instances(tracer: rs.Tracer) -> list[int] | None:
 
 @pytest.mark.parametrize("kind", SAYS)
 @pytest.mark.parametrize("feature", FEATURES)
-def test_a_feature_works_or_names_what_it_does_not_support(feature: str, kind: str) -> None:
-    check_feature(feature, kind, tracer_of(kind))
+def test_a_feature_works_or_names_what_it_does_not_support(
+    feature: str, kind: str, tmp_path: Path
+) -> None:
+    check_feature(feature, kind, tracer_of(kind), tmp_path)
 
 
-def check_feature(feature: str, kind: str, tracer: rs.Tracer) -> None:
-    run, refused = FEATURES[feature]
-    if kind in refused.split():
-        said = f"{SAYS[kind]}|instances" if kind == "worlds" else SAYS[kind]
-        with pytest.raises((rs.RaystreamError, ValueError), match=said):
-            run(tracer)
-    else:
-        run(tracer)
+def check_feature(feature: str, kind: str, tracer: rs.Tracer, path: Path) -> None:
+    run, named = FEATURES[feature]
+    store = tracer.structure.triangles
+    if all(is_supported(one, store) for one in _names(named)):
+        run(tracer, path)
+        return
+    with pytest.raises((rs.RaystreamError, ValueError)) as caught:
+        run(tracer, path)
+    said = SAYS[kind] if feature != "worlds" else "worlds: expected None"
+    assert said in str(caught.value) or (kind == "worlds" and "instances" in str(caught.value))
 
 
-@pytest.mark.parametrize("kind", SAYS)
-def test_saving_names_what_it_does_not_support(kind: str, tmp_path: Path) -> None:
-    says = f"{SAYS[kind]}|instances" if kind == "worlds" else SAYS[kind]
-    with pytest.raises(rs.RaystreamError, match=f"save.*({says})"):
-        tracer_of(kind).save(tmp_path / "a.npz")
+def _names(named: str) -> list[str]:
+    """The features of a call; names may have commas themselves."""
+    found = [one for one in DECLARED if one == named or one in named]
+    assert found, named
+    return found
 
 
-def test_clusters_name_what_they_do_not_support() -> None:
-    from raystream.cluster.tracer_bundles import pack_tracer
-
-    for kind in ("instances", "spheres", "float64"):
-        with pytest.raises(rs.RaystreamError, match=f"cluster.*{SAYS[kind]}"):
-            pack_tracer(tracer_of(kind), "bvh", "cpu", {}, for_rendering=False)
+def test_every_row_of_the_table_is_tried() -> None:
+    tried = {name for _, named in FEATURES.values() for name in _names(named)}
+    elsewhere = {"device='cuda', machine='branching'", "raystream.torch", "raystream.jax"}
+    assert {name for name, one in DECLARED.items() if one.row} <= tried | elsewhere
 
 
 def test_picking_names_spheres() -> None:

@@ -1,6 +1,5 @@
 """The table of what each kind of scene supports."""
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -44,14 +43,3 @@ def test_what_is_written_for_triangles_says_what_it_met():
     with pytest.raises(rs.RaystreamError, match=r"triangles.corners: not supported in a scene"):
         _ = ball.corners
     assert not hasattr(ball, "shape")
-
-
-@pytest.mark.parametrize("feature", ["lidar_returns", "thickness", "visible_faces", "visibility"])
-def test_the_page_says_what_the_table_has(feature):
-    page = Path(__file__).parents[2] / "docs" / "scenes.rst"
-    rows = page.read_text(encoding="utf-8").partition("_what-works:")[2].split("   * - ")[2:]
-    (row,) = (row for row in rows if f"`{feature}`" in row.splitlines()[0] and "cut" not in row)
-    cells = [cell.partition("\n")[0].strip() for cell in row.split("\n     - ")[1:]]
-    kinds = "instances", "primitives", "float64"
-    for kind, cell in zip(kinds, cells, strict=True):
-        assert is_supported(feature, store_of(kind)) == (cell != "no")

@@ -190,7 +190,7 @@ def test_bad_worlds_are_named(gpu) -> None:
 def test_what_is_not_supported_says_so(gpu) -> None:
     placed = rs.Scene.instances(rs.Scene.from_arrays(*cube()), [np.eye(3, 4)])
     ball = rs.Scene.spheres([[0, 0, 0]], 1.0)
-    for scene, says in ((placed, "instances"), (ball, "spheres or height fields")):
+    for scene, says in ((placed, "instances"), (ball, "spheres")):
         with pytest.raises(rs.RaystreamError, match=f"build='device'.*{says}"):
             rs.Tracer(scene, device="cuda", build="device")
         with pytest.raises(ValueError, match="structure='bvh' or structure='brute'"):
@@ -201,10 +201,10 @@ def test_what_is_not_supported_says_so(gpu) -> None:
                 ask([0.0, 0, 5])
 
 
-@pytest.mark.parametrize("kind", ["instances", "worlds", "spheres"])
+@pytest.mark.parametrize("kind", ["instances", "worlds", "spheres", "fields"])
 @pytest.mark.parametrize("feature", FEATURES)
-def test_a_feature_works_or_names_what_it_does_not_support(gpu, feature, kind) -> None:
-    check_feature(feature, kind, tracer_of(kind, DEFAULT, "cuda"))
+def test_a_feature_works_or_names_what_it_does_not_support(gpu, feature, kind, tmp_path) -> None:
+    check_feature(feature, kind, tracer_of(kind, DEFAULT, "cuda"), tmp_path)
 
 
 def test_what_does_not_fit_says_so(gpu, monkeypatch) -> None:

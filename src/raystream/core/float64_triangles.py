@@ -93,6 +93,15 @@ class Float64Triangles(Triangles):
             corners[first : first + _ROWS] = self.to_local(self.vertices[part])
         return corners
 
+    def saved_arrays(self) -> dict[str, NDArray[Any]]:
+        """See `Store.saved_arrays`."""
+        return {"vertices": self.vertices, "faces": self.faces, "mesh_splits": self.mesh_splits}
+
+    def planes_at(self, hits: HitColumns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """See `Store.planes_at`: corners are in world space."""
+        normals, sizes = super().planes_at(hits)
+        return normals, sizes * self.scale
+
     def corners_at(
         self,
         prim_id: NDArray[np.int32],

@@ -114,6 +114,16 @@ class InstancedTriangles(Store):
         """Largest absolute coordinate of `bounds`."""
         return np.float32(np.abs(self.bounds).max())
 
+    def saved_arrays(self) -> dict[str, NDArray[Any]]:
+        """See `Store.saved_arrays`."""
+        held = self.instances
+        arrays = {"object_ids": held.object_ids, "transforms": held.transforms}
+        if held.worlds is not None:
+            arrays["worlds"] = held.worlds
+        for k, one in enumerate(self.objects):
+            arrays |= {f"object{k}.{name}": array for name, array in one.saved_arrays().items()}
+        return arrays | {"mesh_splits": self.mesh_splits}
+
     def object_corners(self) -> NDArray[np.float32]:
         """Corners of all objects' triangles, by prim_id, shape (F, 3, 3), float32.
 

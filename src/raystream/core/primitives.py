@@ -60,7 +60,7 @@ class Primitives(Store):
         If there are too many primitives.
     """
 
-    kinds = ("primitives",)
+    has_primitives = True
     attributes: Attributes
 
     def __init__(
@@ -72,6 +72,8 @@ class Primitives(Store):
     ) -> None:
         self._given = triangles, tuple(fields), spheres, attributes
         self.fields, self.spheres, self.attributes = tuple(fields), spheres, attributes
+        # Without either, that of an empty list of spheres.
+        self.kinds = ("fields",) * bool(fields) + ("spheres",) * bool(len(spheres) or not fields)
         counts = np.array([len(triangles), *map(len, fields)], np.int64)
         self.first_fields = np.cumsum(counts)
         kernel_count = int(self.first_fields[-1]) + 2 * len(spheres)
@@ -147,9 +149,34 @@ class Primitives(Store):
         spheres = self.spheres.centers.nbytes + self.spheres.radii.nbytes
         return self.triangles.byte_count + held + spheres
 
+    def saved_arrays(self) -> dict[str, NDArray[Any]]:
+        """See `Store.saved_arrays`: those of the triangles as they were given, and all others."""
+        triangles, fields, spheres, _ = self._given
+        arrays = {f"triangles.{name}": one for name, one in triangles.saved_arrays().items()}
+        for k, one in enumerate(fields):
+            arrays |= {f"field{k}.heights": one.heights, f"field{k}.x": one.x, f"field{k}.y": one.y}
+            arrays[f"field{k}.base"] = np.array([one.base, one.material_id], np.float64)
+        return arrays | {f"spheres.{name}": one for name, one in vars(spheres).items()}
+
     def solid_numbers(self) -> NDArray[np.int32]:
         """The triangles of the meshes that can be hit, increasing."""
         return self.triangles.prim_ids
+
+    def face_numbers(self) -> NDArray[np.int32]:
+        """See `Store.face_numbers`."""
+        firsts, parts = self.first_fields, [self.triangles.prim_ids]
+        for k, field in enumerate(self.fields):
+            numbers = np.arange(len(field))
+            if field.missing_count:
+                corners = field.corners_of(numbers, self.local_fields[k])
+                numbers = numbers[np.isfinite(corners).all(axis=(1, 2))]
+            parts.append(firsts[k] + numbers)
+        parts.append(np.arange(firsts[-1], len(self)))
+        return np.concatenate(parts).astype(np.int32)
+
+    def ids_of(self, numbers: NDArray[np.int32]) -> tuple[NDArray[np.int32], None]:
+        """The numbers themselves: unlike kernels' they count a sphere once."""
+        return numbers, None
 
     def object_corners(self) -> NDArray[np.float32]:
         """`Triangles.corners` of the meshes."""
@@ -195,6 +222,13 @@ class Primitives(Store):
         rows = self.sphere_rows(hits.prim_id)
         is_sphere = rows >= 0
         return is_sphere, rows[is_sphere], directions_at(hits.u[is_sphere], hits.v[is_sphere])
+
+    def planes_at(self, hits: HitColumns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """See `Store.planes_at`; a sphere's is the plane that touches it at the hit."""
+        normals, sizes = super().planes_at(hits)
+        is_sphere, rows, _ = self._on_spheres(hits)
+        sizes[is_sphere] = 2.0 * self.spheres.radii[rows] * self.scale
+        return normals, sizes
 
     def local_positions(self, hits: HitColumns) -> NDArray[np.float64]:
         """Points of hits, shape (..., 3), local frame; NaN for misses."""

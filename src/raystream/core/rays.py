@@ -71,7 +71,7 @@ class RayBatch:
         The leading shape.
     origins, directions : ndarray of shape (N, 3), float32 or float64
         Views of the caller's arrays where that is possible.
-    t_min, t_max : ndarray of shape (N,), float32
+    t_min, t_max : ndarray of shape (N,), float32, or float64 of rays in float64
     limits : tuple of two ndarray of shape (N,) or (1,), float32
         The same, not repeated where one value serves all rays.
     near : ndarray of shape (N,), int32, or None
@@ -129,14 +129,14 @@ class RayBatch:
         return self.limits
 
     @property
-    def t_min(self) -> NDArray[np.float32]:
+    def t_min(self) -> NDArray[Any]:
         """Where each ray's interval begins."""
-        return np.broadcast_to(self.limits[0], self._count)
+        return np.broadcast_to(self.exact_limits[0], self._count)
 
     @property
-    def t_max(self) -> NDArray[np.float32]:
+    def t_max(self) -> NDArray[Any]:
         """Where each ray's interval ends."""
-        return np.broadcast_to(self.limits[1], self._count)
+        return np.broadcast_to(self.exact_limits[1], self._count)
 
     def __len__(self) -> int:
         return self._count

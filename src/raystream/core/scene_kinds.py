@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from raystream.core.errors import RaystreamError
 
@@ -19,44 +19,111 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
         "without them, if it fits into memory",
         "worlds": "not supported in a scene whose instances are in worlds; make a scene of the "
         "instances of one world",
-        "primitives": "not supported in a scene with spheres or height fields",
+        "spheres": "not supported in a scene with spheres",
+        "fields": "not supported in a scene with height fields",
         "float64": "not supported with precision='float64'",
     }
 )
 
 _ALL = tuple(REFUSALS)
 _PLACED = ("instances", "worlds")
+_PRIMITIVES = ("spheres", "fields")
+_ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
 
-#: Features by name, as errors name them, with the kinds that have them. Triangles in float32 have
-#: all; a feature that is not listed here is theirs alone.
-SUPPORTED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+# Why a kind of scene lacks a feature.
+_TRIANGLES = "written for triangles of one local frame in float32"
+_NEAREST = "distances to it are not written"
+_PROGRAM = "programs and filters read triangles in float32"
+_FORMAT = "the format stores triangles of one local frame in float32"
+_PATCHES = "only triangles can be patches"
+_BOXES = "steps are shown for one tree over triangles"
+_COUNTS = "its traversal does not count"
+_SHADING = "shading reads triangles in float32"
+_SETS = "worlds are sets of instances"
+
+
+class Feature(NamedTuple):
+    """Which kinds of scene have a feature.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Those that have it. Triangles in float32 have all features.
+    row : str
+        Its calls, as the documentation names them; empty if its table leaves the feature out.
+    reason : str
+        Why the others lack it.
+    notes : mapping of str to str
+        By kind, what the documentation says instead of yes.
+    """
+
+    kinds: tuple[str, ...]
+    row: str = ""
+    reason: str = ""
+    notes: Mapping[str, str] = MappingProxyType({})
+
+
+#: Features by name, as errors name them, in the order of the documentation's table. A feature that
+#: is not listed here is of triangles in float32 alone.
+FEATURES: Mapping[str, Feature] = MappingProxyType(
     {
-        "structure='bvh'": _ALL,
-        "structure='brute'": _ALL,
-        "device='cpu', machine='branching'": _ALL,
-        "device='cuda', machine='branching'": _ALL,
-        "device='graphics', machine='compute'": _PLACED,
-        "counters=True": (*_PLACED, "primitives"),
-        "on_hit, skip_prim_ids": _PLACED,
-        "trace": _PLACED,
-        "render": ("instances", "primitives"),
-        "materials that are not opaque": _PLACED,
-        "lidar_returns": ("instances", "primitives"),
-        "visibility": ("instances", "primitives", "float64"),
-        "cutouts=True, with surfaces that are not opaque": _PLACED,
-        "points on surfaces": _PLACED,
-        "surface_points": _PLACED,
-        "out": _PLACED,
-        "query_zarr": ("instances",),
-        "thickness": ("instances",),
-        "visible_faces": ("instances",),
+        "queries": Feature(
+            _ALL, "`first_hit`, `any_hit`, `multi_hit`, `count_hits`, `memory_needed`"
+        ),
+        "cast": Feature(_ONE_WORLD, "`cast`"),
+        "structure='bvh'": Feature(_ALL),
+        "structure='brute'": Feature(_ALL),
+        "device='cpu', machine='branching'": Feature(_ALL),
+        "device='cuda', machine='branching'": Feature(_ALL, '``device="cuda"``'),
+        "device='graphics', machine='compute'": Feature(_PLACED),
+        "worlds": Feature(_PLACED, "``worlds=``", _SETS),
+        "counters=True": Feature((*_PLACED, *_PRIMITIVES), "``counters=True``", _COUNTS),
+        "on_hit, skip_prim_ids": Feature(_PLACED, "``on_hit=``, ``skip_prim_ids=``", _PROGRAM),
+        "trace": Feature(_PLACED, "`Tracer.trace`", _PROGRAM),
+        "update": Feature(
+            _ALL,
+            "`Tracer.update`",
+            notes={
+                "instances": "transforms, camera, lights",
+                "spheres": "a scene of as many",
+                "fields": "a scene of as many samples",
+            },
+        ),
+        "render": Feature(("instances", *_PRIMITIVES), "`render`", _SHADING),
+        "materials that are not opaque": Feature(
+            _PLACED, "`render`, with materials that are not opaque", _PROGRAM
+        ),
+        "heatmap": Feature(("instances", *_PRIMITIVES), "`heatmap`", _COUNTS),
+        "lidar_returns": Feature(_ONE_WORLD, "`lidar_returns`, `lidar_sweep`"),
+        "thickness": Feature(_ONE_WORLD, "`thickness`"),
+        "visibility": Feature(_ONE_WORLD, "`visibility` between points"),
+        "points on surfaces": Feature(_ALL, "`visibility` of hits"),
+        "surface_points": Feature(_ALL, "`surface_points`"),
+        "out": Feature(_ALL, "`visibility` with ``out=``"),
+        "cutouts=True, with surfaces that are not opaque": Feature(
+            _PLACED, "cut-outs in analyses", _PROGRAM
+        ),
+        "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
+        "view_factors": Feature((), "`view_factors`", _PATCHES),
+        "closest points": Feature((), "`closest_point`, `signed_distance`", _NEAREST),
+        "inside tests": Feature((), "`contains`", _TRIANGLES),
+        "winding numbers": Feature((), "`winding_number`", _TRIANGLES),
+        "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
+        "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
+        "raystream.torch": Feature((), "`raystream.torch`", _TRIANGLES),
+        "raystream.jax": Feature((), "`raystream.jax`", _TRIANGLES),
+        "a cluster": Feature((), "clusters", _FORMAT),
+        "walk": Feature((), "`raystream.stepper.walk`", _BOXES),
     }
 )
+
+#: Without anything.
+_NOTHING = Feature(())
 
 
 def is_supported(feature: str, store: Store | type[Store]) -> bool:
     """Whether a scene with this store has a feature."""
-    return set(store.kinds) <= set(SUPPORTED.get(feature, ()))
+    return set(store.kinds) <= set(FEATURES.get(feature, _NOTHING).kinds)
 
 
 def check_support(
@@ -67,7 +134,7 @@ def check_support(
     Parameters
     ----------
     feature : str
-        Named as in `SUPPORTED`.
+        Named as in `FEATURES`.
     store : Store, or class of them
         The scene's.
     error : type of Exception
@@ -79,10 +146,10 @@ def check_support(
         If it has not. The text names the feature, and other values of the argument that work.
     """
     for kind in store.kinds:
-        if kind not in SUPPORTED.get(feature, ()):
+        if kind not in FEATURES.get(feature, _NOTHING).kinds:
             argument = feature.partition("=")[0] + "="
             others = [
-                one for one in SUPPORTED if one.startswith(argument) and is_supported(one, store)
+                one for one in FEATURES if one.startswith(argument) and is_supported(one, store)
             ]
             instead = f"; use {' or '.join(others)}" if others else ""
             raise error(f"{feature}: {REFUSALS[kind]}{instead}")

@@ -95,3 +95,13 @@ def directions_at(u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
     folded_y = np.where(is_below, (1.0 - np.abs(x)) * np.copysign(1.0, y), y)
     points = np.stack([folded_x, folded_y, z], axis=-1)
     return points / np.linalg.norm(points, axis=-1, keepdims=True)
+
+
+def numbers_toward(directions: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The u and v of points in these directions, shape (..., 3), from spheres' centres."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        folded = directions / np.abs(directions).sum(axis=-1, keepdims=True)
+    x, y, z = np.moveaxis(np.nan_to_num(folded), -1, 0)
+    outer_x = (1.0 - np.abs(y)) * np.copysign(1.0, x)
+    outer_y = (1.0 - np.abs(x)) * np.copysign(1.0, y)
+    return 0.5 + 0.5 * np.where(z < 0.0, outer_x, x), 0.5 + 0.5 * np.where(z < 0.0, outer_y, y)

@@ -31,6 +31,8 @@ class Store:
         What it is besides triangles in float32; `scene_kinds` has what these kinds support.
     number_type : type
         Of t, u, v and normals of hits.
+    has_primitives : bool
+        Whether there may be spheres and height fields.
     instances : Instances or None
     world_count : int
         0 without instances in worlds.
@@ -48,6 +50,7 @@ class Store:
 
     kinds: tuple[str, ...] = ()
     number_type: type[np.floating[Any]] = np.float32
+    has_primitives: bool = False
     instances: Instances | None = None
     world_count: int = 0
     attributes: Attributes | None = None
@@ -68,6 +71,18 @@ class Store:
                 check_support(f"triangles.{name}", self)
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
 
+    def saved_arrays(self) -> dict[str, NDArray[Any]]:
+        """Arrays that describe the geometry, by name: for files, and to recognise it."""
+        raise NotImplementedError
+
+    @property
+    def number_count(self) -> int:
+        """How many numbers `numbers_of` may give."""
+        return len(self)
+
+    def __len__(self) -> int:
+        raise NotImplementedError
+
     # Ids, and the numbers that kernels have for them.
 
     def split_ids(
@@ -81,8 +96,22 @@ class Store:
         prim_id: NDArray[np.int32],
         instance_id: NDArray[np.int32],  # noqa: ARG002
     ) -> NDArray[Any]:
-        """The kernels' numbers of triangles; of misses -1."""
+        """A number for each triangle of each instance; of misses -1."""
         return prim_id
+
+    def solid_numbers(self) -> NDArray[np.integer[Any]]:
+        """The numbers of the meshes' triangles that can be hit, increasing."""
+        raise NotImplementedError
+
+    def face_numbers(self) -> NDArray[np.integer[Any]]:
+        """The numbers of all that can be hit, increasing."""
+        return self.solid_numbers()
+
+    def ids_of(
+        self, numbers: NDArray[np.int32]
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32] | None]:
+        """The prim_ids, and with instances the instance_ids, of `numbers_of`."""
+        return self.split_ids(numbers)
 
     def sphere_rows(self, prim_id: NDArray[np.int32]) -> NDArray[np.int64]:
         """The spheres of hits, -1 for other primitives and misses."""
@@ -138,6 +167,11 @@ class Store:
         return float(self.max_coordinate), np.abs(self.center).max() * self.scale
 
     # Geometry of hits.
+
+    def planes_at(self, hits: HitColumns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Unit normals of hits in world space, NaN without an area; sizes in the local frame."""
+        corners = self.corners_at(hits.prim_id, hits.instance_id)
+        return self.normals_to_world(self.local_normals(hits), hits.instance_id), size_of(corners)
 
     def local_positions(self, hits: HitColumns) -> NDArray[np.float64]:
         """Points of hits, shape (..., 3), local frame; NaN for misses."""

@@ -209,10 +209,14 @@ class Triangles(Store):
     def __len__(self) -> int:
         return int(self.mesh_splits[-1])
 
-    @property
-    def number_count(self) -> int:
-        """How many numbers kernels have for triangles."""
-        return len(self)
+    def saved_arrays(self) -> dict[str, NDArray[Any]]:
+        """See `Store.saved_arrays`."""
+        return {
+            "corners": self.corners,
+            "mesh_splits": self.mesh_splits,
+            "center": self.center,
+            "scale": np.array(self.scale),
+        }
 
     def object_corners(self) -> NDArray[np.float32]:
         """`corners`; of `InstancedTriangles`, those of all objects."""

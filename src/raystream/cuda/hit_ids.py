@@ -87,7 +87,7 @@ class HitIds:
             If there is no memory for them.
         """
         held = self._triangles
-        if "primitives" in held.kinds and len(held.spheres):
+        if "spheres" in held.kinds:
             first = np.int32(held.first_fields[-1])
             scope.launch(halve_ids, numbers.size, (first, numbers))
         if held.instances is None:

@@ -109,7 +109,12 @@ def leaving_distance(
     """
     units = EXTENT_UNITS * extents + REACH_UNITS * reach
     most = MOST_UNITS * (float(triangles.max_coordinate) + reach)
-    return UNIT * np.minimum(units, most) + _world_rounding(triangles)
+    return _unit_of(triangles) * np.minimum(units, most) + _world_rounding(triangles)
+
+
+def _unit_of(triangles: Store) -> float:
+    """Rounding of the tests of triangles, relative: as in `core.spawn`, or in float64."""
+    return UNIT if triangles.number_type is np.float32 else WORLD_UNIT
 
 
 def _world_rounding(triangles: Store) -> float:
@@ -148,7 +153,7 @@ def end_points(name: str, values: Any, skipped: Any, triangles: Any) -> EndPoint
             normals, extents = hits._world_normals(), np.zeros(len(positions))
             planes = placed_planes(hits, own)
         else:
-            normals, extents, _ = planes_of(own.corners_at(hits.prim_id, hits.instance_id))
+            normals, extents = own.planes_at(hits)
         is_valid &= np.isfinite(normals).all(axis=-1)
         normals[~is_valid] = extents[~is_valid] = 0.0
     else:
@@ -233,7 +238,7 @@ def is_clear(
                 units = FAR_UNITS * (length + stops.extents)
                 nearer = np.minimum(starts.reach, stops.reach + length)
                 units += REACH_UNITS * (nearer + stops.reach)
-                distance = (UNIT * units + _world_rounding(frame)) / frame.scale
+                distance = (_unit_of(frame) * units + _world_rounding(frame)) / frame.scale
                 side = _side(stops.normals, -delta, distance, front_only, clear)
                 directions = directions + (side * distance)[..., None] * stops.normals
             else:

@@ -29,7 +29,8 @@ def surface_points(
     prim_ids : array_like of shape S, int
         Triangles, counted over the whole scene; -1 for no point, as in a miss.
     u, v : array_like that broadcast to S, real
-        Weights of vertices 1 and 2, as in `Hits` [default: the triangles' centres].
+        Weights of vertices 1 and 2, as in `Hits` [default: the triangles' centres]; of spheres, two
+        numbers from 0 to 1.
     instance_ids : array_like that broadcasts to S, int, optional
         In a scene with instances: the instance that each triangle is in.
 
@@ -67,15 +68,17 @@ def surface_points(
     for name, values in (("u", u), ("v", v)):
         array = as_real_array(name, values)
         spread = broadcast(name, array, ids.shape, "that of prim_ids,")
-        weights.append(spread.astype(np.float32))
+        weights.append(spread.astype(triangles.number_type))
     is_miss = ids < 0
     for weight in weights:
         weight[is_miss] = 0.0
     both = weights[0].astype(np.float64) + weights[1]
-    is_inside = (weights[0] >= 0.0) & (weights[1] >= 0.0) & (both <= 1.0 + 2.0**-22)
+    most = np.where(triangles.sphere_rows(ids) >= 0, 2.0, 1.0)  # of spheres, each at most 1
+    is_inside = (weights[0] >= 0.0) & (weights[1] >= 0.0) & (both <= most + 2.0**-22)
+    is_inside &= (weights[0] <= 1.0) & (weights[1] <= 1.0)
     if not is_inside.all():
         raise ValueError("u, v: expected weights of at least 0, with a sum of at most 1")
-    t = np.where(is_miss, np.inf, 0.0).astype(np.float32)
+    t = np.where(is_miss, np.inf, 0.0).astype(triangles.number_type)
     status = np.zeros(ids.shape, np.uint8)
     prim_id = ids.astype(np.int32)
     return Hits(t, weights[0], weights[1], prim_id, status, triangles, None, instances)

@@ -11,6 +11,7 @@ from raystream.core.checks import check_least
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_vector
 from raystream.core.scene_kinds import check_support
+from raystream.core.spheres import numbers_toward
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.end_points import check_tracer, end_points, is_clear
 from raystream.line_of_sight.image_frame import seen_from
@@ -73,8 +74,8 @@ def visible_faces(
     size : tuple of two int
         Width and height of the image in pixels.
     points_per_face : int
-        Points of each triangle, its centre first, whose visibility is tested if the triangle
-        covers no pixel's centre; 0 tests none.
+        Points of each triangle, its centre first (of a sphere, the point nearest the camera),
+        whose visibility is tested if the triangle covers no pixel's centre; 0 tests none.
     cutouts : bool
         Whether a surface is neither seen nor hides anything where it is cut out: where the opacity
         of its material is below its ``alpha_cutoff``, or below a half without one. False makes all
@@ -141,7 +142,7 @@ def visible_faces(
     if points:
         _look_for_others(tracer, camera, (width, height), points, is_seen, opacity, progress)
     numbers = np.flatnonzero(is_seen)
-    prim_ids, instance_ids = triangles.split_ids(numbers.astype(np.int32))
+    prim_ids, instance_ids = triangles.ids_of(numbers.astype(np.int32))
     if instance_ids is None:
         instance_ids = np.zeros_like(prim_ids)
     return VisibleFaces(prim_ids, counts[numbers], instance_ids)
@@ -173,7 +174,7 @@ def _look_for_others(
 ) -> None:
     """Trace rays to points of the faces that are not seen yet."""
     triangles: Any = tracer.structure.triangles
-    others = triangles.solid_numbers()
+    others = triangles.face_numbers()
     others = others[~is_seen[others]]
     pixels = size[0] * size[1]
     total = pixels + points * len(others)
@@ -182,8 +183,11 @@ def _look_for_others(
         u, v = _weights(number)
         for begin in range(0, len(others), _BLOCK):
             faces = others[begin : begin + _BLOCK]
-            prim_ids, instance_ids = triangles.split_ids(faces.astype(np.int32))
-            centers = surface_points(tracer, prim_ids, u, v, instance_ids)
+            prim_ids, instance_ids = triangles.ids_of(faces.astype(np.int32))
+            at = u, v
+            if triangles.has_primitives and not number:
+                at = _nearest_points(camera, size, triangles, prim_ids, at)
+            centers = surface_points(tracer, prim_ids, *at, instance_ids)
             stops = end_points("faces", centers, None, triangles)
             origins, is_inside = seen_from(camera, size, stops.positions)
             is_inside &= stops.is_valid
@@ -199,6 +203,23 @@ def _look_for_others(
                 progress(min(pixels + number * len(others) + begin + len(faces), total), total)
     if progress:
         progress(total, total)
+
+
+def _nearest_points(
+    camera: Camera,
+    size: tuple[int, int],
+    triangles: Any,
+    prim_ids: NDArray[np.int32],
+    otherwise: tuple[float, float],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The u and v of points: of spheres, those nearest the camera; else as given."""
+    rows = triangles.sphere_rows(prim_ids)
+    u, v = (np.full(len(rows), one) for one in otherwise)
+    is_sphere = rows >= 0
+    centers = triangles.spheres.centers[rows[is_sphere]]
+    eyes, _ = seen_from(camera, size, centers)
+    u[is_sphere], v[is_sphere] = numbers_toward(eyes - centers)
+    return u, v
 
 
 def _weights(number: int) -> tuple[float, float]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from raystream.core.checks import check_least
 from raystream.core.hits import RayRows
-from raystream.core.rays import RayBatch
 from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress
 from raystream.physics.group_values import group_values
@@ -141,8 +140,8 @@ def lidar_returns(
         As `Tracer.first_hit`, or if another argument is out of range; or if there are cut-outs, and
         the tracer counts.
     RaystreamError
-        If the scene is in float64, its instances are in worlds, or there are cut-outs beside
-        spheres or height fields.
+        If the scene's instances are in worlds; or if there are cut-outs beside spheres or height
+        fields, or in float64.
 
     Notes
     -----
@@ -165,7 +164,7 @@ def lidar_returns(
     """
     held: Any = tracer.structure.triangles
     check_support("lidar_returns", held)
-    batch = RayBatch(origins, directions, t_min, t_max)
+    batch = tracer.structure.ray_batch(origins, directions, t_min, t_max)
     scene = tracer.scene
     names = tuple(material.name for material in scene.materials)
     reflectances = group_values(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from raystream.kernels.ray_source import load_ray
 NO_ROW = -1
 
 #: Uncertainty of t by rounding to float32, relative, doubled.
-_ROUNDING = 2.0**-23
+ROUNDING = 2.0**-23
 
 # Kinds of crossings.
 _ENTRY = np.uint8(0)
@@ -32,7 +32,7 @@ class Crossings(NamedTuple):
     Attributes
     ----------
     splits : ndarray of shape (N + 1,), int64
-    t : ndarray of shape (K,), float32
+    t : ndarray of shape (K,), float32 or float64
     prim_id : ndarray of shape (K,), int32
     mesh_id : ndarray of shape (K,), int32
     kind : ndarray of shape (K,), uint8
@@ -44,7 +44,7 @@ class Crossings(NamedTuple):
     """
 
     splits: NDArray[np.int64]
-    t: NDArray[np.float32]
+    t: NDArray[np.floating[Any]]
     prim_id: NDArray[np.int32]
     mesh_id: NDArray[np.int32]
     kind: NDArray[np.uint8]
@@ -53,7 +53,7 @@ class Crossings(NamedTuple):
 
     @classmethod
     def of(
-        cls, splits: NDArray[np.int64], t: NDArray[np.float32], prim_id: NDArray[np.int32]
+        cls, splits: NDArray[np.int64], t: NDArray[np.floating[Any]], prim_id: NDArray[np.int32]
     ) -> Crossings:
         """Allocate the columns to be derived."""
         count = len(t)
@@ -67,7 +67,7 @@ class Limits(NamedTuple):
 
     Attributes
     ----------
-    t_min, t_max : ndarray of shape (N,), float32
+    t_min, t_max : ndarray of shape (N,), float32 or float64
     clips : bool
         Whether an entry before t_min is assumed where a closed mesh must have one, and crossings
         beyond t_max are dropped.
@@ -75,8 +75,8 @@ class Limits(NamedTuple):
         Whether the ray was traced to its last crossing.
     """
 
-    t_min: NDArray[np.float32]
-    t_max: NDArray[np.float32]
+    t_min: NDArray[np.floating[Any]]
+    t_max: NDArray[np.floating[Any]]
     clips: bool
     is_whole: NDArray[np.bool_]
 
@@ -190,7 +190,7 @@ def classify_crossing(row, local, ray, frame, corners, is_flipped, crossings):
     enters = faces_ray(ray, corners, prim_id) != is_flipped
     crossings.kind[row] = _ENTRY if enters else _EXIT
     cosine = _cosine(ray, corners, prim_id)
-    crossings.slack[row] = aside / cosine + _ROUNDING * abs(crossings.t[row])
+    crossings.slack[row] = aside / cosine + ROUNDING * abs(crossings.t[row])
 
 
 @device

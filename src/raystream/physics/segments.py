@@ -15,12 +15,12 @@ from raystream.core.hits import MultiHits
 from raystream.core.rays import RayBatch
 from raystream.core.scene_kinds import check_support
 from raystream.core.triangles import Triangles
-from raystream.geometry.instances.structure import InstancedStructure
 from raystream.jit.threads import Progress, parallel_for, part_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.kernels.solids import Solids, solids_of
 from raystream.machines.winding import inside_by_winding
+from raystream.physics.hit_crossings import classify_hits, solids_with
 from raystream.physics.library_results import LibraryThickness, in_library_of
 from raystream.physics.nesting import displaced, overlap_text, ranks_of
 from raystream.physics.pairing import (
@@ -153,7 +153,7 @@ def thickness(
     if nested not in ("both", "inner"):
         raise ValueError(f"nested: expected 'both' or 'inner', got {nested!r}")
     check_support("thickness", tracer.structure.triangles)
-    batch = RayBatch(origins, directions, t_min, t_max)
+    batch = tracer.structure.ray_batch(origins, directions, t_min, t_max)
     rules = Rules(ends == "clip", nested == "inner", cutouts)
     found, overlaps = find_segments(tracer, batch, rules, progress)
     if overlaps and nested == "both":
@@ -182,7 +182,7 @@ def find_segments(
         status.reshape(batch.shape),
         worker.solids,
         (
-            [mesh.name for mesh in tracer.scene.meshes],
+            [tracer.scene.mesh_name(k) for k in range(len(worker.solids.is_closed))],
             [material.name for material in tracer.scene.materials],
         ),
     )
@@ -203,12 +203,18 @@ class _Worker:
         self._tracer, self._batch, self._rules = tracer, batch, rules
         self.overlaps: set[tuple[int, int]] = set()
         structure = tracer.structure
-        self._triangles = structure.triangles
-        placed = PlacedSolids.of(structure) if isinstance(structure, InstancedStructure) else None
+        self._triangles: Any = structure.triangles
+        #: The triangles of meshes, where a mesh is looked at alone.
+        self._meshes: Any = self._triangles
+        is_placed = self._triangles.instances is not None
+        placed = PlacedSolids.of(structure) if is_placed else None
         self._placed = placed
         self._frame = SceneFrame.of(self._triangles)
-        self.solids: Solids = solids_of(self._triangles) if placed is None else placed.solids
-        self._material_ids = tracer.scene.attributes.material_ids
+        if self._triangles.has_primitives:
+            self._meshes = self._triangles.triangles
+            self.solids: Solids = solids_with(self._triangles)
+        else:
+            self.solids = solids_of(self._triangles) if placed is None else placed.solids
         opacity = cutouts_of(tracer, rules.cutouts, self.solids.is_closed)
         self._on_hit = opacity and opacity.on_hit
 
@@ -241,10 +247,10 @@ class _Worker:
         crossings = Crossings.of(hits.ray_splits, hits.t, hits.prim_id)
         pairs = Pairs.empty(count, len(hits.t))
         t_min, t_max = self._batch.t_min[rows], self._batch.t_max[rows]
-        traced_to = np.broadcast_to(np.float32(np.inf), count) if self._rules.clips else t_max
+        traced_to = np.broadcast_to(t_max.dtype.type(np.inf), count) if self._rules.clips else t_max
         origins, directions = self._batch.origins[rows], self._batch.directions[rows]
         source, kept = RaySource.of(origins, directions, (t_min, traced_to))
-        classify, is_closed = self._classifier(source, hits, crossings)
+        classify, is_closed = self._classifier(rows, source, hits, crossings)
         t_min, t_max = np.ascontiguousarray(t_min), np.ascontiguousarray(t_max)
         limits = Limits(t_min, t_max, self._rules.clips, np.isinf(traced_to))
 
@@ -286,7 +292,7 @@ class _Worker:
             starts = self._batch.t_min[i, None] * self._batch.directions[i].astype(np.float64)
             starts += self._batch.origins[i]
             if self._placed is None:
-                is_inside = inside_by_winding(_part(self._triangles, solid), starts)
+                is_inside = inside_by_winding(_part(self._meshes, solid), starts)
             else:
                 triangles, mesh, starts = self._placed.in_object(solid, starts)
                 is_inside = inside_by_winding(_part(triangles, mesh), starts)
@@ -308,13 +314,16 @@ class _Worker:
         self.overlaps.update((min(pair), max(pair)) for pair in zip(low, high, strict=True))
 
     def _classifier(
-        self, source: RaySource, hits: MultiHits, crossings: Crossings
+        self, rows: slice, source: RaySource, hits: MultiHits, crossings: Crossings
     ) -> tuple[Callable[[int, int], None], NDArray[np.bool_]]:
         """A function that classifies the crossings of some rays; and whether solids are closed.
 
         Solids are meshes; with instances, the meshes of each.
         """
         is_flipped = self.solids.is_flipped
+        if self._triangles.kinds and self._placed is None:
+            classify_hits(self._batch, rows, hits, is_flipped, crossings)
+            return lambda _begin, _end: None, self.solids.is_closed
         if self._placed is None:
             triangles = self._triangles
             shared = source, self._frame, triangles.corners, triangles.mesh_splits, is_flipped
@@ -344,8 +353,8 @@ class _Worker:
         rows: slice,
         crossings: Crossings,
         pairs: Pairs,
-        t_min: NDArray[np.float32],
-        t_max: NDArray[np.float32],
+        t_min: NDArray[np.floating[Any]],
+        t_max: NDArray[np.floating[Any]],
     ) -> Segments:
         used, ray = _used(crossings.splits, pairs.counts)
         entry, exit_ = pairs.entries[used], pairs.exits[used]
@@ -366,7 +375,7 @@ class _Worker:
             t_exit,
             length * direction_lengths(self._batch, rows)[ray],
             mesh_id,
-            self._material_ids[known],
+            self._triangles.materials_at(known),
             entry_prim_id,
             exit_prim_id,
             instance_id,

@@ -47,7 +47,7 @@ def cutouts_of(tracer: Any, is_wanted: bool, is_solid: NDArray[np.bool_] | None 
         return None
     triangles: Any = tracer.structure.triangles
     opacity = None
-    if "primitives" not in triangles.kinds:
+    if not triangles.has_primitives:
         opacity = _opacity_of(scene, triangles, is_solid)
         if opacity is None:
             return None

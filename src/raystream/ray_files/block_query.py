@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import MultiHits
-from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, part_of
 from raystream.ray_files.blocks import Block
 from raystream.tracer import Tracer
@@ -102,7 +101,7 @@ class BlockQuery:
         the result fits even if every ray reaches the limit; if any ray does reach it, the part
         is halved. The result is then complete, without a counting pass.
         """
-        batch = RayBatch(**rays)
+        batch = self._tracer.structure.ray_batch(**rays)
         count = len(batch)
         room = HITS_PER_RAY * count
         status = np.empty(count, np.uint8)

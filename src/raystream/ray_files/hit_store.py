@@ -65,6 +65,8 @@ class Columns(NamedTuple):
         """The columns of a query of a tracer's triangles."""
         of_rays, of_rows = COLUMNS[query], ROWS.get(query, {})
         known = {} if triangles.attributes is None else _FACE
+        if triangles.number_type is np.float64:
+            known = {**known, **{name: ColumnType("float64", np.nan) for name in ("t", "u", "v")}}
         if triangles.instances is not None:
             known = {**known, **_INSTANCE}
         if query == "first_hit":

@@ -67,6 +67,9 @@ def scene_digest(triangles: Any, has_faces: bool = False) -> str:
     placed = triangles.instances
     if placed is not None:
         _add_arrays(digest, (placed.object_ids, placed.transforms))
+    if placed is None and triangles.kinds:
+        _add_arrays(digest, list(triangles.saved_arrays().values()))
+        return digest.hexdigest()
     for one in [triangles] if placed is None else triangles.objects:
         _add_arrays(digest, (one.corners, one.mesh_splits, one.center))
         digest.update(repr(float(one.scale)).encode())

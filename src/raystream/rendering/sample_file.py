@@ -131,7 +131,7 @@ def _digest(scene: Scene) -> str:
     if triangles.instances is not None:
         add(triangles.instances.object_ids)
         add(triangles.instances.transforms)
-    if "primitives" in triangles.kinds:
+    if triangles.has_primitives:
         for array in vars(triangles.spheres).values():
             add(array)
         for field in triangles.fields:

@@ -56,7 +56,7 @@ def tables_at(
 def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | MeshTables | None:
     """The tables of the objects of a scene with instances, or of the meshes beside primitives."""
     triangles: Any = scene.triangles
-    if "primitives" in triangles.kinds:
+    if triangles.has_primitives:
         if not scene.is_opaque:
             check_support("materials that are not opaque", triangles)
         return MeshTables.of(arrays)

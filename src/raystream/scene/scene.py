@@ -22,6 +22,7 @@ from raystream.scene.geometry import Geometry
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
+from raystream.scene.primitive_geometry import PrimitiveGeometry
 from raystream.scene.primitive_scene import PrimitiveScene
 from raystream.scene.views import Views
 
@@ -153,7 +154,19 @@ class Scene(PrimitiveScene):
     @classmethod
     def from_triangles(cls, triangles: Triangles) -> Scene:
         """Make a scene from a triangle store: the same triangles and meshes, nothing else."""
-        corners = triangles.to_world(triangles.corners)
+        store: Any = triangles
+        if store.has_primitives:
+            meshes = cls.from_triangles(store.triangles).meshes
+            geometry = PrimitiveGeometry(meshes, store.fields, store.spheres)
+            materials = [Material()] * max(1, geometry.highest_material + 1)
+            return cls._of_primitives(geometry, {"materials": materials})
+        if store.instances is not None:
+            held = store.instances
+            objects = [list(cls.from_triangles(one).meshes) for one in store.objects]
+            return cls.instances(objects, held.transforms, held.object_ids, worlds=held.worlds)
+        ids = np.arange(len(triangles), dtype=np.int32)
+        local = triangles.corners_at(ids, ids) if triangles.kinds else triangles.corners
+        corners = triangles.points_to_world(local, ids)
         meshes = []
         for first, end in itertools.pairwise(triangles.mesh_splits):
             faces = np.arange(3 * (end - first), dtype=np.int32).reshape(-1, 3)

@@ -13,8 +13,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from raystream.core.options import Options
+from raystream.core.scene_kinds import check_support
 
 if TYPE_CHECKING:
+    from raystream.core.store import Store
     from raystream.core.triangles import Triangles
     from raystream.jit.threads import Progress
     from raystream.structures.base import Structure
@@ -115,6 +117,29 @@ def options_of(
 def structure_class(name: str) -> type[Structure]:
     """The class of a built structure."""
     return _imported(STRUCTURES[name].structure)
+
+
+#: Modules whose ``STRUCTURES`` are those of other kinds of scene than triangles in float32.
+_OF_KINDS = {
+    "float64": "raystream.geometry.float64.structure",
+    "instances": "raystream.geometry.instances.structure",
+    "fields": "raystream.geometry.primitives.structure",
+    "spheres": "raystream.geometry.primitives.structure",
+}
+
+
+def builder_for(name: str, store: Store) -> Any:
+    """The class, or function, that builds a structure of a scene from its geometry and options.
+
+    Raises
+    ------
+    ValueError
+        If the structure does not support the kind of scene.
+    """
+    if not store.kinds:
+        return structure_class(name)
+    check_support(f"structure={name!r}", store, ValueError)
+    return _imported(_OF_KINDS[store.kinds[0]]).STRUCTURES[name]
 
 
 def form_of(name: str, form: str) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
+from collections.abc import Callable
 from os import PathLike
 from typing import Any
 
@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.core.npz import read_npz, write_npz
-from raystream.core.scene_kinds import check_support
-from raystream.core.triangles import Triangles
-from raystream.structures import STRUCTURES, StructureOptions, structure_class
+from raystream.structures import STRUCTURES, StructureOptions, builder_for
 from raystream.structures.base import Structure
-from raystream.structures.saved import take
+from raystream.structures.saved_stores import same_geometry, store_of
 
 #: Increased by every change that makes older files unreadable.
 FORMAT_VERSION = 3
@@ -38,37 +36,34 @@ def save_structure(path: str | PathLike[str], structure: Structure) -> None:
         If the name does not end in ``.npz``.
     OSError
         If it cannot be written.
-    RaystreamError
-        If the scene is not of triangles in float32 alone.
     """
     triangles = structure.triangles
-    check_support("save", triangles)
     header = {
         "format": _FORMAT,
         "version": FORMAT_VERSION,
         "structure": structure.name,
         "options": structure.options.as_json(),
+        **({"kinds": triangles.kinds} if triangles.kinds else {}),
     }
     arrays: dict[str, NDArray[Any]] = {
         "header": np.frombuffer(json.dumps(header).encode(), np.uint8),
-        "triangles.corners": triangles.corners,
-        "triangles.mesh_splits": triangles.mesh_splits,
-        "triangles.center": triangles.center,
-        "triangles.scale": np.array(triangles.scale),
+        **{f"triangles.{name}": one for name, one in triangles.saved_arrays().items()},
     }
     for name, array in structure.saved_arrays().items():
         arrays[f"structure.{name}"] = array
     write_npz(path, arrays)
 
 
-def load_structure(path: str | PathLike[str], triangles: Triangles | None = None) -> Structure:
+def load_structure(
+    path: str | PathLike[str], triangles_in: Callable[[str], Any] | None = None
+) -> Structure:
     """Read a structure that `save_structure` wrote.
 
     Parameters
     ----------
     path : str or path
-    triangles : Triangles, optional
-        If given, the file must contain the same ones.
+    triangles_in : callable, optional
+        If given, the file must contain the triangles that it returns for "float32" or "float64".
 
     Returns
     -------
@@ -80,27 +75,40 @@ def load_structure(path: str | PathLike[str], triangles: Triangles | None = None
         If the file is damaged, not a structure file, of another version, or of other triangles.
     """
     arrays = read_npz(path)
-    made, options = _header(path, arrays)
+    made, options, kinds = _header(path, arrays)
     try:
-        stored = _triangles(arrays)
-        if triangles is not None:
-            if not _same(stored, triangles):
+        stored: Any = store_of(
+            kinds,
+            {
+                name.removeprefix("triangles."): array
+                for name, array in arrays.items()
+                if name.startswith("triangles.")
+            },
+        )
+        if triangles_in is not None:
+            given = triangles_in("float64" if stored.number_type is np.float64 else "float32")
+            if not same_geometry(stored, given):
                 raise ValueError("was built from other triangles than the scene's; rebuild it")
-            stored = triangles
+            stored = given
         own = {
             name.removeprefix("structure."): array
             for name, array in arrays.items()
             if name.startswith("structure.")
         }
-        return structure_class(made.name).from_arrays(stored, own, _options(made, options))
+        build = builder_for(made.name, stored)
+        chosen = _options(made, options)
+        restored: Structure = (
+            build(stored, chosen) if stored.kinds else build.from_arrays(stored, own, chosen)
+        )
+        return restored
     except ValueError as error:
         raise FileFormatError(path, str(error)) from None
 
 
 def _header(
     path: str | PathLike[str], arrays: dict[str, NDArray[Any]]
-) -> tuple[type[StructureOptions], Any]:
-    """The class of the structure's options, and the saved options."""
+) -> tuple[type[StructureOptions], Any, Any]:
+    """The class of the structure's options, the saved options, and the kinds of scene."""
     foreign = FileFormatError(path, "was not written by Tracer.save")
     try:
         header = json.loads(arrays["header"].tobytes())
@@ -117,7 +125,7 @@ def _header(
     name = header.get("structure")
     if not isinstance(name, str) or name not in STRUCTURES:
         raise FileFormatError(path, f"holds an unknown structure {name!r:.40}")
-    return STRUCTURES[name], header.get("options")
+    return STRUCTURES[name], header.get("options"), header.get("kinds")
 
 
 def _options(made: type[StructureOptions], saved: Any) -> StructureOptions:
@@ -125,31 +133,3 @@ def _options(made: type[StructureOptions], saved: Any) -> StructureOptions:
         return made.from_json(saved)
     except ValueError as error:  # of a version with other options, or damaged
         raise ValueError(f"{error}; rebuild the structure") from None
-
-
-def _triangles(arrays: dict[str, NDArray[Any]]) -> Triangles:
-    corners = take(arrays, "triangles.corners", np.float32, (None, 3, 3))
-    splits = take(arrays, "triangles.mesh_splits", np.int64, (None,))
-    center = take(arrays, "triangles.center", np.float64, (3,))
-    scale = float(take(arrays, "triangles.scale", np.float64, ()))
-    if not (scale > 0.0 and math.isfinite(scale) and math.frexp(scale)[0] == 0.5):
-        raise ValueError("invalid scale: not a power of two")
-    if not np.isfinite(center).all():
-        raise ValueError("invalid centre: not finite")
-    if (
-        len(splits) < 1
-        or splits[0] != 0
-        or splits[-1] != len(corners)
-        or (np.diff(splits) < 0).any()
-    ):
-        raise ValueError("the mesh splits do not delimit the triangles")
-    return Triangles.from_local(corners, splits, center, scale)
-
-
-def _same(stored: Triangles, given: Triangles) -> bool:
-    return (
-        stored.scale == given.scale
-        and np.array_equal(stored.center, given.center)
-        and np.array_equal(stored.mesh_splits, given.mesh_splits)
-        and np.array_equal(stored.corners, given.corners, equal_nan=True)
-    )

@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from raystream.core.choices import Cpu, DeviceOptions
-from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress
 from raystream.machines import MACHINES, make_machine, own_options
-from raystream.structures import Structure, StructureOptions, build_structure
+from raystream.structures import Structure, StructureOptions, build_structure, builder_for
 
 if TYPE_CHECKING:
     from raystream.machines.backend import Backend
@@ -67,15 +66,6 @@ class Device(NamedTuple):
     options: type[DeviceOptions] | None = None
 
 
-#: Modules whose ``STRUCTURES`` build for other kinds of scene than triangles in float32. They are
-#: named, and imported when they are needed: few scenes are of these kinds.
-_STRUCTURES = {
-    "float64": "raystream.geometry.float64.structure",
-    "instances": "raystream.geometry.instances.structure",
-    "primitives": "raystream.geometry.primitives.structure",
-}
-
-
 def build_on_cpu(
     structure: StructureOptions,
     triangles: Any,
@@ -92,9 +82,10 @@ def build_on_cpu(
     """
     if not triangles.kinds:
         return build_structure(structure, triangles, progress=progress)
-    check_support(f"structure={structure.name!r}", triangles, ValueError)
-    module = importlib.import_module(_STRUCTURES[triangles.kinds[0]])
-    return module.STRUCTURES[structure.name](triangles, structure, progress=progress)
+    made: Structure = builder_for(structure.name, triangles)(
+        triangles, structure, progress=progress
+    )
+    return made
 
 
 #: Devices by name: those in use, and those that were registered.

@@ -7,6 +7,7 @@ import math
 import operator
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
 
@@ -30,7 +31,7 @@ from raystream.structures.base import UpdateReport
 from raystream.structures.storage import load_structure, save_structure
 from raystream.tracer.configuration import Configuration, configure
 from raystream.tracer.devices import device_of
-from raystream.tracer.precision import moved_triangles, of_scene
+from raystream.tracer.precision import moved_triangles, of_scene, triangles_of
 
 if TYPE_CHECKING:
     from raystream.machines.counters import RayCounters
@@ -180,6 +181,7 @@ class TracedScene:
             scene with the same faces, such as `Scene.at` returns: its lights, materials, normals
             and camera are also used. If all its meshes are the same objects as before, nothing is
             done, and the report's costs are nan.
+            With spheres or height fields only a scene, with as many spheres and samples.
         transforms : array_like of shape (K, 3, 4), real, optional
             Instead of `vertices`, for a scene with instances: their new transforms, see
             `Scene.instances`. The objects stay the same: only the tree over the instances is
@@ -232,7 +234,7 @@ class TracedScene:
             raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
         scene = self.scene
         if scene.has_primitives or (isinstance(vertices, Scene) and vertices.has_primitives):
-            return self._update_views(vertices)
+            return self._update_primitives(vertices, max_cost_growth, progress)
         if (vertices is None) == (transforms is None):
             raise ValueError("update: expected either vertices or transforms")
         if transforms is not None:
@@ -257,12 +259,27 @@ class TracedScene:
         triangles.attributes = self.scene.attributes  # those in float64 have none yet
         return report
 
-    def _update_views(self, scene: Any) -> UpdateReport:
-        """Take another scene of the same primitives: its camera and lights."""
-        if not isinstance(scene, Scene) or scene.triangles is not self.scene.triangles:
-            raise ValueError(f"update: {REFUSALS['primitives']}; make another tracer")
-        self._set(scene, self.structure)
-        return UpdateReport(False, 0.0, math.nan, math.nan)
+    def _update_primitives(
+        self, scene: Any, max_cost_growth: float, progress: Progress | None
+    ) -> UpdateReport:
+        """Take another scene of as many primitives: the structure is rebuilt if they moved."""
+        own: Any = self.structure.triangles
+        if not isinstance(scene, Scene):
+            kind = next(iter(own.kinds), "spheres")
+            raise ValueError(f"update: positions as arrays are {REFUSALS[kind]}; give a Scene")
+        others: Any = scene.triangles
+        is_same = own.kinds == others.kinds and np.array_equal(own.mesh_splits, others.mesh_splits)
+        if not is_same:
+            raise ValueError(
+                "update: the scene has other numbers of triangles, samples or spheres, or is of "
+                "another kind; make another tracer"
+            )
+        if others is self.scene.triangles:
+            self._set(scene, self.structure)
+            return UpdateReport(False, 0.0, math.nan, math.nan)
+        structure, report = self.structure.updated(others, max_cost_growth, progress)
+        self._set(scene, structure)
+        return report
 
     def _update_instances(self, scene: Any) -> UpdateReport:
         """Place the instances as in another scene of the same objects."""
@@ -280,6 +297,9 @@ class TracedScene:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the built structure and its triangles to a file.
+
+        In scenes of other kinds than triangles in float32, the file has the geometry and the
+        options, and `load` builds the structure again.
 
         Parameters
         ----------
@@ -329,7 +349,8 @@ class TracedScene:
         """
         if scene is not None and not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
-        structure = load_structure(path, None if scene is None else scene.triangles)
+        given_in = None if scene is None else partial(triangles_of, scene)
+        structure = load_structure(path, given_in)
         given = scene, device
         return cls.of_structure(structure, *given, machine=machine, counters=counters, **options)
 
@@ -434,7 +455,7 @@ class TracedScene:
 
     def __repr__(self) -> str:
         held = self.structure.triangles
-        what = "primitives" if "primitives" in held.kinds else "triangles"
+        what = "primitives" if held.has_primitives else "triangles"
         placed = held.instances
         instances = "" if placed is None else f", {len(placed):,} instances"
         device = "" if self.device == "cpu" else f", device={self.device!r}"

@@ -24,7 +24,9 @@ class Float64Rays(RayBatch):
 
     copied_bytes = 8
 
-    def __init__(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> None:
+    def __init__(
+        self, origins: Any, directions: Any, t_min: Any = 0.0, t_max: Any = np.inf
+    ) -> None:
         super().__init__(origins, directions, t_min, t_max)
         low, high = map(np.ascontiguousarray, self._limits(t_min, t_max, np.float64))
         self.float64_limits = low, high

@@ -1,0 +1,137 @@
+"""Geometry from the arrays of a file, checked: what `Store.saved_arrays` returned."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.attributes import Attributes
+from raystream.core.float64_triangles import Float64Triangles
+from raystream.core.height_field import HeightField
+from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.instances import Instances
+from raystream.core.primitives import Primitives
+from raystream.core.spheres import Spheres
+from raystream.core.store import Store
+from raystream.core.triangles import Triangles
+from raystream.structures.saved import take
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+def store_of(kinds: Any, arrays: Arrays) -> Store:
+    """The geometry of a scene of some kinds.
+
+    Raises
+    ------
+    ValueError
+        If the kinds are unknown, or an array is missing or invalid.
+    """
+    make = _MAKERS.get(str(kinds[0]) if isinstance(kinds, list) and kinds else "")
+    if make is None:
+        raise ValueError(f"holds an unknown kind of scene {kinds!r:.40}")
+    return make(arrays)
+
+
+def same_geometry(one: Store, other: Store) -> bool:
+    """Whether two stores hold the same numbers."""
+    arrays, others = one.saved_arrays(), other.saved_arrays()
+    return arrays.keys() == others.keys() and all(
+        np.array_equal(array, others[name], equal_nan=True) for name, array in arrays.items()
+    )
+
+
+def _part(arrays: Arrays, name: str) -> dict[str, NDArray[Any]]:
+    """The arrays whose names begin with a word, by what follows it."""
+    begin = f"{name}."
+    return {
+        key.removeprefix(begin): array for key, array in arrays.items() if key.startswith(begin)
+    }
+
+
+def _splits(arrays: Arrays, count: int) -> NDArray[np.int64]:
+    splits = take(arrays, "mesh_splits", np.int64, (None,))
+    is_sound = len(splits) > 0 and splits[0] == 0 and splits[-1] == count
+    if not is_sound or (np.diff(splits) < 0).any():
+        raise ValueError("the mesh splits do not delimit the triangles")
+    return splits
+
+
+def _triangles(arrays: Arrays) -> Triangles:
+    corners = take(arrays, "corners", np.float32, (None, 3, 3))
+    splits = take(arrays, "mesh_splits", np.int64, (None,))
+    center = take(arrays, "center", np.float64, (3,))
+    scale = float(take(arrays, "scale", np.float64, ()))
+    if not (scale > 0.0 and math.isfinite(scale) and math.frexp(scale)[0] == 0.5):
+        raise ValueError("invalid scale: not a power of two")
+    if not np.isfinite(center).all():
+        raise ValueError("invalid centre: not finite")
+    splits = _splits(arrays, len(corners))
+    return Triangles.from_local(corners, splits, center, scale)
+
+
+def _float64(arrays: Arrays) -> Float64Triangles:
+    vertices = take(arrays, "vertices", np.float64, (None, 3))
+    faces = take(arrays, "faces", np.int64, (None, 3))
+    if not (faces.min(initial=0) >= 0 and faces.max(initial=-1) < len(vertices)):
+        raise ValueError("a face has a vertex that does not exist")
+    made = Float64Triangles.of([(vertices, faces)])  # type: ignore[list-item]
+    made.mesh_splits = _splits(arrays, len(faces))
+    return made
+
+
+def _instances(arrays: Arrays) -> InstancedTriangles:
+    objects: list[Triangles] = []
+    while own := _part(arrays, f"object{len(objects)}"):
+        objects.append(_triangles(own))
+    placed = Instances(
+        take(arrays, "object_ids", np.int32, (None,)),
+        take(arrays, "transforms", np.float64, (None, 3, 4)),
+        take(arrays, "worlds", np.int32, (None,)) if "worlds" in arrays else None,
+    )
+    splits = _splits(arrays, sum(map(len, objects)))
+    return InstancedTriangles(objects, placed, splits, Attributes(()))
+
+
+def _primitives(arrays: Arrays) -> Primitives:
+    fields: list[HeightField] = []
+    while own := _part(arrays, f"field{len(fields)}"):
+        fields.append(_field(own))
+    own = _part(arrays, "spheres")
+    spheres = Spheres.of(
+        take(own, "centers", np.float64, (None, 3)),
+        take(own, "radii", np.float64, (None,)),
+        take(own, "material_ids", np.int32, (None,)),
+    )
+    triangles = _triangles(_part(arrays, "triangles"))
+    return Primitives(triangles, fields, spheres, Attributes(()))
+
+
+def _field(arrays: Arrays) -> HeightField:
+    heights = arrays.get("heights", np.zeros(0))
+    if heights.ndim != 2 or heights.dtype.kind not in "fiu":
+        raise ValueError("the heights of a height field are not numbers in two dimensions")
+    x = take(arrays, "x", np.float64, (heights.shape[1],))
+    y = take(arrays, "y", np.float64, (heights.shape[0],))
+    base, material_id = take(arrays, "base", np.float64, (2,)).tolist()
+    for axis in (x, y):
+        steps = np.diff(axis)
+        if not (np.isfinite(axis).all() and ((steps > 0.0).all() or (steps < 0.0).all())):
+            raise ValueError("the samples of a height field are not in order")
+    if not (math.isfinite(base) and 0 <= material_id < 2**31 and material_id % 1.0 == 0.0):
+        raise ValueError("a height field has an invalid base or material")
+    return HeightField(heights, x, y, base, int(material_id))
+
+
+#: By the first kind; those of plain triangles in float32 have none.
+_MAKERS: dict[str, Callable[[Arrays], Store]] = {
+    "": _triangles,
+    "float64": _float64,
+    "instances": _instances,
+    "spheres": _primitives,
+    "fields": _primitives,
+}
