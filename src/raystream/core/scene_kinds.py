@@ -24,6 +24,9 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
     }
 )
 
+#: What is said of a device and machine that do not support a feature, before their names.
+MACHINE_REFUSAL = "not supported with"
+
 _ALL = tuple(REFUSALS)
 _PLACED = ("instances", "worlds")
 
@@ -39,6 +42,7 @@ SUPPORTED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "counters=True": (*_PLACED, "primitives"),
         "on_hit, skip_prim_ids": _PLACED,
         "trace": _PLACED,
+        "mask": (*_PLACED, "primitives"),
         "render": ("instances", "primitives"),
         "materials that are not opaque": _PLACED,
         "lidar_returns": ("instances", "primitives"),
