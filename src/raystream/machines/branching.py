@@ -86,16 +86,17 @@ class Branching(Backend):
     def run_program(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> bool:
-        """Run a query for first or any hits with its filter, which the traversals call.
+        """Run a query with its filter, which the traversals call.
 
         Notes
         -----
         A traversal finds hits in any order. So that errors do not depend on it, a query whose
         filter raises is run again, over the nearest hits of each ray.
         """
-        if query.kind is not Kind.FIRST_HIT and query.kind is not Kind.ANY_HIT:
-            return False
         filter_: Any = query.on_hit
+        is_one = query.kind is Kind.FIRST_HIT or query.kind is Kind.ANY_HIT
+        if not is_one and (query.kind is Kind.TRACE or not filter_.is_bare):
+            return False  # the hits before the one that ends a ray depend on the order
         at_hits = filter_.at_hits(rays)
         progress = rising(progress)
         self.run(query._replace(on_hit=at_hits.addresses), rays, sink, progress)
