@@ -20,6 +20,7 @@ class _Mesh(Protocol):
     texcoords: NDArray[np.float32] | None
     material_ids: NDArray[np.int32]
     face_ids: NDArray[np.int32] | None
+    mask: int
 
 
 def faces_of(mesh: _Mesh) -> NDArray[np.int32]:
@@ -50,6 +51,11 @@ class Attributes:
         """The material of each triangle, by prim_id, shape (F,), int32."""
         ids = [mesh.material_ids for mesh in self._meshes]
         return np.concatenate([np.zeros(0, np.int32), *ids])
+
+    @cached_property
+    def masks(self) -> NDArray[np.uint32]:
+        """The mask of each mesh, shape (M,), uint32."""
+        return np.array([mesh.mask for mesh in self._meshes], np.uint32)
 
     @cached_property
     def face_ids(self) -> NDArray[np.int32] | None:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.masks import ALL_BITS, as_mask
 from raystream.core.rays import as_host_array, as_number, as_real_array, as_vector
 from raystream.core.triangles import MAX_COORDINATE
 
@@ -60,11 +61,18 @@ class HeightField:
         Added to all heights.
     material_id : int
 
+    Attributes
+    ----------
+    mask : int
+        See `Mesh`.
+
     Raises
     ------
     ValueError
         If there are fewer than 2 x 2 samples, or heights are infinite or beyond 2**200.
     """
+
+    mask: int = ALL_BITS
 
     def __init__(
         self,
@@ -83,7 +91,14 @@ class HeightField:
         self._examine()
 
     @classmethod
-    def of(cls, heights: Any, origin: Any, spacing: Any, material_id: Any = 0) -> HeightField:
+    def of(
+        cls,
+        heights: Any,
+        origin: Any,
+        spacing: Any,
+        material_id: Any = 0,
+        mask: int = ALL_BITS,
+    ) -> HeightField:
         """Check the arguments of `Scene.height_field`."""
         array = as_host_array("heights", heights)
         if array.dtype.kind not in "fiu":
@@ -110,7 +125,9 @@ class HeightField:
         number = as_number("material_id", material_id)
         if not (number >= 0 and number == int(number)):
             raise ValueError(f"material_id: expected the number of a material, got {material_id}")
-        return cls(array, x, y, base, int(number))
+        field = cls(array, x, y, base, int(number))
+        field.mask = as_mask("mask", mask)
+        return field
 
     def __len__(self) -> int:
         """The number of triangles, missing ones included."""

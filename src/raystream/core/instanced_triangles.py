@@ -74,6 +74,23 @@ class InstancedTriangles(Store):
                 f"{MAX_TRIANGLES:,}"
             )
 
+    def _mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
+        """The parts are the instances; or, where one has no mask, the meshes of its object."""
+        own, masks = self.instances.masks, self.attributes.masks
+        if own is None:
+            own = np.zeros(len(self.instances), np.uint32)
+        if own.all():
+            return self.first_ids[:-1], own
+        meshes = np.searchsorted(self.mesh_splits, self.first_prims)
+        ids = self.instances.object_ids
+        counts = np.diff(meshes)[ids]
+        instance = np.repeat(np.arange(len(ids)), counts)
+        within = np.arange(len(instance)) - np.repeat(np.cumsum(counts) - counts, counts)
+        mesh = meshes[ids][instance] + within
+        firsts = self.mesh_splits[mesh] - self.first_prims[ids][instance]
+        chosen = np.where(own[instance] > 0, own[instance], masks[mesh])
+        return self.first_ids[instance] + firsts, chosen
+
     def moved(self, instances: Instances) -> InstancedTriangles:
         """The same objects, with instances elsewhere."""
         return InstancedTriangles(self.objects, instances, self.mesh_splits, self.attributes)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.masks import as_masks
 from raystream.core.rays import as_integers, as_real_array
 
 #: Beyond this condition number a transform counts as singular.
@@ -39,6 +40,8 @@ class Instances:
         The world of each instance, from 0; -1 for one that is in all worlds.
     names : sequence of str, optional
         Of each instance.
+    masks : array_like of shape (K,), int, optional
+        The mask of each instance, unsigned, 32 bits; 0 for those of its meshes.
 
     Attributes
     ----------
@@ -47,6 +50,7 @@ class Instances:
     world_count : int
         0 without worlds.
     names : tuple of str, or None
+    masks : ndarray of shape (K,), uint32, or None
     transforms, inverses : ndarray of shape (K, 3, 4), float64
         Object to world space, and world to object space.
     conditions : ndarray of shape (K,), float64
@@ -63,6 +67,7 @@ class Instances:
     __slots__ = (
         "conditions",
         "inverses",
+        "masks",
         "names",
         "object_ids",
         "transforms",
@@ -77,6 +82,7 @@ class Instances:
     worlds: NDArray[np.int32] | None
     world_count: int
     names: tuple[str, ...] | None
+    masks: NDArray[np.uint32] | None
 
     def __init__(
         self,
@@ -84,6 +90,7 @@ class Instances:
         transforms: Any,
         worlds: Any = None,
         names: Sequence[str] | None = None,
+        masks: Any = None,
     ) -> None:
         matrices = as_real_array("transforms", transforms).astype(np.float64)
         if matrices.size == 0:
@@ -114,6 +121,11 @@ class Instances:
             raise ValueError(
                 f"names: expected {len(matrices):,}, one per transform, got {len(self.names):,}"
             )
+        self.masks = None if masks is None else as_masks("masks", masks)
+        if self.masks is not None and self.masks.shape != (len(matrices),):
+            raise ValueError(
+                f"masks: expected {len(matrices):,}, one per transform, got {self.masks.shape}"
+            )
         self.transforms = matrices
         self.inverses, self.conditions = inverse_transforms(matrices)
         for array in (self.object_ids, self.transforms, self.inverses, self.conditions):
@@ -134,13 +146,14 @@ class Instances:
                 f"transforms: expected shape ({len(self)}, 3, 4), one for each instance as before, "
                 f"got {moved.shape}"
             )
-        return Instances(self.object_ids, moved, self.worlds, self.names)
+        return Instances(self.object_ids, moved, self.worlds, self.names, self.masks)
 
     def __len__(self) -> int:
         return len(self.object_ids)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Instances, (self.object_ids, self.transforms, self.worlds, self.names)
+        arguments = self.object_ids, self.transforms, self.worlds, self.names, self.masks
+        return Instances, arguments
 
     def __repr__(self) -> str:
         return f"Instances({len(self):,} of {len(np.unique(self.object_ids)):,} objects)"

@@ -115,6 +115,15 @@ class Primitives(Store):
         moved.attributes = triangles.attributes
         return moved
 
+    def _mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
+        """The parts are the meshes, the height fields and the spheres."""
+        count = len(self.spheres)
+        numbers = self.first_fields[-1] + 2 * np.arange(count)
+        firsts = self.triangles.mesh_splits[:-1], self.first_fields[:-1], numbers
+        fields = np.array([one.mask for one in self.fields], np.uint32)
+        masks = self.attributes.masks, fields, self.spheres.masks
+        return np.concatenate(firsts), np.concatenate(masks)
+
     def __len__(self) -> int:
         return int(self.first_fields[-1]) + len(self.spheres)
 

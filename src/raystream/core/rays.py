@@ -78,6 +78,8 @@ class RayBatch:
         The number of a sector near the start of each ray, -1 for none; see `Tracer.first_hit`.
     worlds : ndarray of shape (N,), int32, or None
         The world of each ray, in a scene whose instances have worlds; see `Scene.instances`.
+    masks : ndarray of shape (N,) or (1,), uint32, or None
+        The mask of each ray; None for all bits. See `Tracer.first_hit`.
 
     Raises
     ------
@@ -95,6 +97,7 @@ class RayBatch:
     directions: NDArray[Any]
     near: NDArray[np.int32] | None = None
     worlds: NDArray[np.int32] | None = None
+    masks: NDArray[np.uint32] | None = None
 
     def __init__(
         self, origins: Any, directions: Any, t_min: Any = 0.0, t_max: Any = np.inf

@@ -25,6 +25,9 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
     }
 )
 
+#: What is said of a device and machine that do not support a feature, before their names.
+MACHINE_REFUSAL = "not supported with"
+
 _ALL = tuple(REFUSALS)
 _PLACED = ("instances", "worlds")
 _PRIMITIVES = ("spheres", "fields")
@@ -80,6 +83,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "counters=True": Feature((*_PLACED, *_PRIMITIVES), "``counters=True``", _COUNTS),
         "on_hit, skip_prim_ids": Feature(_PLACED, "``on_hit=``, ``skip_prim_ids=``", _PROGRAM),
         "trace": Feature(_PLACED, "`Tracer.trace`", _PROGRAM),
+        "mask": Feature((*_PLACED, *_PRIMITIVES), "``mask=``", _PROGRAM),
         "update": Feature(
             _ALL,
             "`Tracer.update`",

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.masks import ALL_BITS, as_mask
 from raystream.core.rays import as_integers, as_real_array
 from raystream.core.triangles import MAX_COORDINATE
 
@@ -21,14 +22,16 @@ class Spheres:
     centers : ndarray of shape (N, 3), float64
     radii : ndarray of shape (N,), float64
     material_ids : ndarray of shape (N,), int32
+    masks : ndarray of shape (N,), uint32
     """
 
     centers: NDArray[np.float64]
     radii: NDArray[np.float64]
     material_ids: NDArray[np.int32]
+    masks: NDArray[np.uint32]
 
     @classmethod
-    def of(cls, centers: Any, radii: Any, material_ids: Any = 0) -> Spheres:
+    def of(cls, centers: Any, radii: Any, material_ids: Any = 0, mask: int = ALL_BITS) -> Spheres:
         """Check the arguments of `Scene.spheres`, and copy them."""
         places = as_real_array("centers", centers).astype(np.float64)
         if places.size == 0:
@@ -55,7 +58,9 @@ class Spheres:
         ids = as_integers("material_ids", material_ids)
         if ids.size and not (ids.min() >= 0 and ids.max() < 2**31):
             raise ValueError("material_ids: expected numbers of materials, from 0")
-        return cls(places, sizes, _spread("material_ids", ids, count).astype(np.int32))
+        ids = _spread("material_ids", ids, count).astype(np.int32)
+        masks = np.broadcast_to(np.uint32(as_mask("mask", mask)), (count,))
+        return cls(places, sizes, ids, masks)
 
     def __len__(self) -> int:
         return len(self.radii)

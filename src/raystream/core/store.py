@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
 from raystream.core.instances import Instances
+from raystream.core.masks import ALL_BITS, MaskRuns
 from raystream.core.scene_kinds import check_support
 from raystream.core.spawn import plane_offset, side_of, size_of
 
@@ -122,6 +124,19 @@ class Store:
         materials = np.where(prim_id < 0, np.int32(-1), np.int32(0))
         known = self.attributes
         return materials if known is None else put_known(materials, known.material_ids, prim_id)
+
+    # Masks.
+
+    @cached_property
+    def mask_runs(self) -> MaskRuns:
+        """The masks of the geometry, by kernels' numbers."""
+        return MaskRuns.of(*self._mask_parts())
+
+    def _mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
+        """The first numbers of the parts that have a mask each, and these masks."""
+        firsts, known = self.mesh_splits[:-1], self.attributes
+        masks = np.full(len(firsts), ALL_BITS, np.uint32) if known is None else known.masks
+        return firsts, masks
 
     # Frames.
 

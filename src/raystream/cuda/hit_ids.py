@@ -11,7 +11,7 @@ from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.jit.constants import SHIFT_32, SHIFT_64
 from raystream.jit.cuda import DeviceArray, Gpu, StreamScope, gpu_kernel
 from raystream.jit.simd import load, store
-from raystream.programs.hits import interval_of
+from raystream.kernels.intervals import interval_of
 
 _MISS = np.int32(-1)
 

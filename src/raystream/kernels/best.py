@@ -206,32 +206,33 @@ def offer_lanes(best, taken, t, u, v, prim_id):
 
 
 @device
-def reported_lanes(best, taken, t, prim_id):
+def reported_lanes(best, taken, t, u, v, prim_id):
     """Hits of 16 rays with a triangle as they are reported, for rays that take all of them.
 
     Parameters
     ----------
     best : Best
         Its views have a vector for each attribute; ``hit.t`` is the end of the rays' intervals.
-    taken, t, prim_id
+    taken, t, u, v, prim_id
         See `offer_lanes`.
 
     Returns
     -------
     taken : mask16
-        The rays that hit it within their intervals.
+        The rays that hit it within their intervals, unless a filter ignores the hit.
     t : f32x16
     number : int32
     """
-    told = _told_lanes(best.first_id, best.ray, t)
-    return taken & (told <= best.hit.t), told, _number(best.first_id, prim_id)
+    told, number = _told_lanes(best.first_id, best.ray, t), _number(best.first_id, prim_id)
+    taken = taken & (told <= best.hit.t)
+    return _kept_lanes(best.filter, taken, t, u, v, number), told, number
 
 
 @device
-def reported_hit(best, k, t, prim_id):
+def reported_hit(best, k, t, u, v, prim_id):
     """The same for a hit of ray k, whose `Best` has a lane index."""
-    told = _told(best.first_id, best.ray, k, t)
-    return told <= best.hit.t[k], told, _number(best.first_id, prim_id)
+    told, number = _told(best.first_id, best.ray, k, t), _number(best.first_id, prim_id)
+    return told <= best.hit.t[k] and keeps(best.filter, t, u, v, number), told, number
 
 
 @device

@@ -15,6 +15,7 @@ from raystream.jit.constants import BYTES_32, NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import call_filter, no_inline
 from raystream.jit.simd import count_trailing_zeros, load, scratch, store
+from raystream.kernels.masks import is_admitted
 from raystream.kernels.ray import world_t
 
 #: Bytes of 16 hits as filters read them, and where their u and v are.
@@ -35,12 +36,19 @@ class HitFilter(NamedTuple):
         Address of the triangles that the first ray skips, int32; -1 skips nothing.
     skip_count : uint64
         Triangles per ray; 0 if rays skip none.
+    masks : uint64
+        Address of a `masks.MaskTable`; 0 if all rays may hit everything.
     """
 
     function: np.uint64
     context: np.uint64
     skipped: np.uint64
     skip_count: np.uint64
+    masks: np.uint64
+
+
+#: It ignores no hit.
+NO_FILTER = HitFilter(NULL, NULL, NULL, ZERO_U64, NULL)
 
 
 class RayFilter(NamedTuple):
@@ -100,13 +108,18 @@ def kept_hits(filter_, bits, hits, prim_id, first):
 @device_call
 def _keeps(filter_, t, u, v, prim_id):
     no_inline()
-    if _skips(filter_.filter, filter_.ray, prim_id):
+    own = filter_.filter
+    if own.masks != NULL and not is_admitted(own.masks, filter_.ray, prim_id):
         return False
+    if _skips(own, filter_.ray, prim_id):
+        return False
+    if own.function == NULL:
+        return True
     hits = scratch(FILTERED_BYTES)
     store(hits, world_t(t, filter_.t_scale, filter_.t_offset))
     store(hits + U_AT, u)
     store(hits + V_AT, v)
-    return kept_hits(filter_.filter, ONE_U64, hits, prim_id, filter_.ray) != ZERO_U64
+    return kept_hits(own, ONE_U64, hits, prim_id, filter_.ray) != ZERO_U64
 
 
 @device

@@ -41,6 +41,8 @@ class Capabilities(NamedTuple):
         It runs a renderer's rays and shading in one loop: `run_loop`.
     points : bool
         It finds the triangles nearest to points: `find_nearest`.
+    masks : bool
+        Its traversals ask for the masks of rays and geometry.
     """
 
     device_arrays: bool = False
@@ -49,6 +51,7 @@ class Capabilities(NamedTuple):
     passes: bool = False
     loops: bool = False
     points: bool = False
+    masks: bool = False
 
 
 class Backend(ABC):
@@ -131,7 +134,7 @@ class Backend(ABC):
         sink = Sink.of(query, len(rays), records, kind=kind)
         is_program = query.kind is Kind.TRACE
         if not is_program and (query.on_hit is None or query.limit == 0):
-            self.run(query, rays, sink, progress)
+            self.run(query._replace(on_hit=None), rays, sink, progress)
         elif self.run_program(query, rays, sink, progress):
             pass
         elif query.kind is Kind.ANY_HIT:

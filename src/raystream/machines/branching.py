@@ -9,7 +9,9 @@ from typing import Any
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, rising, thread_count
+from raystream.kernels.hit_filter import NO_FILTER
 from raystream.kernels.hits import HitAccumulator, HitArrays, Sink
+from raystream.kernels.masks import MaskTable
 from raystream.kernels.point_queries import NearestArrays, PointBatch
 from raystream.machines.backend import Backend, Capabilities
 from raystream.machines.batch import batch_bytes, run_calls, trace_batch
@@ -29,7 +31,7 @@ class Branching(Backend):
     structure : Structure
     """
 
-    capabilities = Capabilities(points=True)
+    capabilities = Capabilities(points=True, masks=True)
 
     def __init__(self, structure: Structure) -> None:
         self.structure = structure
@@ -45,6 +47,11 @@ class Branching(Backend):
         to twice the memory of the hits.
         """
         structure, is_whole = self.structure, query.kind is Kind.MULTI_HIT
+        masks, runs = rays.masks, structure.triangles.mask_runs
+        table = None if masks is None or runs.admit(masks) else MaskTable.of(masks, runs)
+        if table is not None:
+            given = NO_FILTER if query.on_hit is None else query.on_hit
+            query = query._replace(on_hit=given._replace(masks=table.address))
         if is_whole and (sink.tallies is not None or query.limit == 0):
             fill = partial(trace_batch, structure, query, rays)
             self.count_then_fill(query, rays, sink, progress, fill)
@@ -79,16 +86,17 @@ class Branching(Backend):
     def run_program(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> bool:
-        """Run a query for first or any hits with its filter, which the traversals call.
+        """Run a query with its filter, which the traversals call.
 
         Notes
         -----
         A traversal finds hits in any order. So that errors do not depend on it, a query whose
         filter raises is run again, over the nearest hits of each ray.
         """
-        if query.kind is not Kind.FIRST_HIT and query.kind is not Kind.ANY_HIT:
-            return False
         filter_: Any = query.on_hit
+        is_one = query.kind is Kind.FIRST_HIT or query.kind is Kind.ANY_HIT
+        if not is_one and (query.kind is Kind.TRACE or not filter_.is_bare):
+            return False  # the hits before the one that ends a ray depend on the order
         at_hits = filter_.at_hits(rays)
         progress = rising(progress)
         self.run(query._replace(on_hit=at_hits.addresses), rays, sink, progress)

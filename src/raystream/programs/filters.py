@@ -76,11 +76,14 @@ class Filter(NamedTuple):
             return cls(on_hit.function, skipped, triangles, on_hit)
         return cls(_keep_all if on_hit is None else on_hit, skipped, triangles)
 
+    @property
+    def is_bare(self) -> bool:
+        """Whether there is no function to call: without instances traversals skip triangles."""
+        return self.function is _keep_all and self.triangles.instances is None
+
     def at_hits(self, rays: RayBatch) -> FilterAtHits:
         """The filter compiled to be called by traversals."""
-        # Without instances the traversal itself skips triangles.
-        is_bare = self.function is _keep_all and self.triangles.instances is None
-        function = None if is_bare else self.function
+        function = None if self.is_bare else self.function
         constants = None if self.bound is None else self.bound.constants
         return FilterAtHits(function, self.skipped, constants, self.triangles, rays)
 

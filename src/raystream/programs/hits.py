@@ -12,6 +12,7 @@ from raystream.jit.constants import BYTES_32, ONE_U64, ZERO_F64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.kernels.hits import HitArrays
+from raystream.kernels.intervals import halvings_of, interval_of
 from raystream.kernels.ray_source import RaySource
 
 _NOWHERE = np.uint64(0)
@@ -113,8 +114,8 @@ class SceneAt(NamedTuple):
     @classmethod
     def at(cls, corners: int, mesh_splits: int, mesh_count: int) -> SceneAt:
         """Triangles of `mesh_count` meshes at these addresses."""
-        halvings = max(mesh_count - 1, 0).bit_length()
-        return cls(*np.array((corners, mesh_splits, mesh_count, halvings), np.uint64))
+        places = corners, mesh_splits, mesh_count, halvings_of(mesh_count)
+        return cls(*np.array(places, np.uint64))
 
 
 class RaysAt(NamedTuple):
@@ -236,21 +237,6 @@ def hit_of(ray, t, u, v, prim_id, rays, position, scene):
     corners = scene.corners + np.uint64(prim_id) * _TRIANGLE
     is_entering = faces_front(corners, direction_at(rays, position))
     return Hit(np.int64(ray), t, u, v, prim_id, np.int32(mesh), is_entering, _NO_INSTANCE)
-
-
-@device
-def interval_of(splits, count, halvings, number):
-    """The last of `count` intervals that begins at or before a number; the splits are int64.
-
-    Binary search of a fixed number of steps, which LLVM removes where it is not used.
-    """
-    low, high = _NOWHERE, count
-    for _ in range(halvings):
-        middle = (low + high) >> ONE_U64
-        is_above = load(np.int64, splits + middle * _LONG) <= number
-        low = middle if is_above else low
-        high = high if is_above else middle
-    return low
 
 
 @device

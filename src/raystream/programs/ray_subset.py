@@ -82,6 +82,8 @@ def _batch(batch: RayBatch, picked: Any, shape: tuple[int, ...]) -> RayBatch:
     ]
     part = RayBatch(*vectors, *limits)
     part.worlds = None if batch.worlds is None else np.ascontiguousarray(batch.worlds[picked])
+    masks = batch.masks
+    part.masks = masks if masks is None or len(masks) == 1 else masks[picked]
     return part
 
 

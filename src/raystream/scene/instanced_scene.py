@@ -30,6 +30,7 @@ class InstancedScene:
         *,
         worlds: Any = None,
         names: Sequence[str] | None = None,
+        masks: Any = None,
         materials: Sequence[Material] = (),
         **parts: Any,
     ) -> Self:
@@ -55,6 +56,9 @@ class InstancedScene:
             rays can query thousands of copies of a small scene in different states.
         names : sequence of str, optional
             Of each instance: in `placements`, and of the meshes that `flattened` makes.
+        masks : array_like of shape (K,), int, optional
+            The mask of each instance, 32 bits, unsigned, in place of the masks of its meshes; 0
+            for these. See `Tracer.first_hit`.
         materials : sequence of Material, optional
             Materials of the objects that are meshes. Those of scenes follow.
         **parts
@@ -102,7 +106,7 @@ class InstancedScene:
         >>> hits.instance_id.tolist(), bool(hits.prim_id[0] == hits.prim_id[1])
         ([5, 6], True)
         """
-        made = Objects.of(objects, (object_ids, transforms, worlds, names), materials)
+        made = Objects.of(objects, (object_ids, transforms, worlds, names, masks), materials)
         scene = cls(made.meshes, materials=made.materials, **parts)  # type: ignore[call-arg]
         scene._geometry = InstancedGeometry(made.meshes, made.mesh_counts, made.instances)
         return scene

@@ -84,10 +84,10 @@ class Objects(NamedTuple):
     def of(
         cls,
         objects: Any,
-        placed: tuple[Any, Any, Any, Sequence[str] | None],
+        placed: tuple[Any, Any, Any, Sequence[str] | None, Any],
         materials: Sequence[Material],
     ) -> Objects:
-        """Put objects together; `placed` are object_ids, transforms, worlds and names.
+        """Put objects together; `placed` are object_ids, transforms, worlds, names, masks.
 
         Raises
         ------
@@ -108,12 +108,12 @@ class Objects(NamedTuple):
                 raise ValueError(
                     f"objects[{index}]: spheres and height fields cannot be placed as instances"
                 )
-        object_ids, transforms, worlds, names = placed
+        object_ids, transforms, worlds, names, masks = placed
         ids, matrices = _checked(len(given), transforms, object_ids)
         known = list(materials)
         if not known and not all(map(geometry_of, given)):
             known = [Material()]  # of the objects that are meshes
-        found = cls([], [], known, Instances(ids, matrices, worlds, names))
+        found = cls([], [], known, Instances(ids, matrices, worlds, names, masks))
         # Each object is one after another's; one that is a scene of instances is several.
         below = [found._add(one, len(known)) for one in given]
         if all(inner is None for _, inner in below):
@@ -121,7 +121,8 @@ class Objects(NamedTuple):
             outer = found.instances
             instances = outer
             if len(ids):
-                instances = Instances(firsts[ids], matrices, outer.worlds, outer.names)
+                rest = outer.worlds, outer.names, outer.masks
+                instances = Instances(firsts[ids], matrices, *rest)
         else:
             instances = _flattened_instances(found.instances, below)
         if not found.materials:
@@ -188,7 +189,7 @@ def _flattened_instances(
     total = int(counts.sum())
     check_memory(total * 220, f"Scene.instances: {total:,} instances would", "place fewer")
     ids = np.empty(total, np.int32)
-    matrices = np.empty((total, 3, 4))
+    matrices, masks = np.empty((total, 3, 4)), np.zeros(total, np.uint32)
     rows = np.cumsum(counts) - counts
     for k, (first, inner) in enumerate(below):
         chosen = np.flatnonzero(outer.object_ids == k)
@@ -201,8 +202,14 @@ def _flattened_instances(
         linear = np.einsum("aij,bjk->abik", mine[:, :, :3], inner.transforms)
         linear[..., 3] += mine[:, None, :, 3]
         matrices[to] = linear.reshape(-1, 3, 4)
+        if inner.masks is not None:
+            masks[to] = np.tile(inner.masks, len(chosen))
     worlds = None if outer.worlds is None else np.repeat(outer.worlds, counts)
-    return Instances(ids, matrices, worlds, _names_within(outer, below))
+    if outer.masks is not None:
+        own = np.repeat(outer.masks, counts)
+        masks = np.where(own > 0, own, masks)
+    given = masks if masks.any() else None
+    return Instances(ids, matrices, worlds, _names_within(outer, below), given)
 
 
 def _names_within(
@@ -233,12 +240,13 @@ def placed_meshes(geometry: InstancedGeometry) -> Iterator[Mesh]:
     count = int(sizes[instances.object_ids].sum()) if len(instances) else 0
     check_memory(count * _TRIANGLE_BYTES, f"flattened: {count:,} triangles would", "place fewer")
     names = instances.names or ("",) * len(instances)
-    for name, object_id, matrix, inverse in zip(
-        names, instances.object_ids, instances.transforms, instances.inverses, strict=True
-    ):
+    masks = np.zeros(len(instances), int) if instances.masks is None else instances.masks
+    columns = instances.object_ids, instances.transforms, instances.inverses, masks.tolist()
+    for name, object_id, matrix, inverse, mask in zip(names, *columns, strict=True):
         first, end = ranges[object_id]
         for mesh in geometry.meshes[first:end]:
             placed = _placed(mesh, matrix, inverse)
+            placed.mask = mask or mesh.mask
             if name:
                 placed.name = name if end - first == 1 else path_name(name, mesh.name)
             yield placed

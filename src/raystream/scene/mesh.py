@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raystream.core.masks import ALL_BITS, as_mask
 from raystream.core.rays import as_integers
 
 
@@ -39,6 +40,9 @@ class Mesh:
     face_ids : array_like of shape (F,), integer, optional
         The face of each triangle, from 0: triangles of one polygon have the same. Readers number
         the polygons of a file within each mesh [default: each triangle is a face, None].
+    mask : int, optional
+        32 bits, unsigned, not 0: a ray hits the mesh only if its own mask has one of these bits;
+        see `Tracer.first_hit` [default: all bits].
 
     Raises
     ------
@@ -52,6 +56,7 @@ class Mesh:
         "colors",
         "face_ids",
         "faces",
+        "mask",
         "material_ids",
         "name",
         "normals",
@@ -67,6 +72,7 @@ class Mesh:
     material_ids: NDArray[np.int32]
     name: str
     face_ids: NDArray[np.int32] | None
+    mask: int
 
     def __init__(
         self,
@@ -79,6 +85,7 @@ class Mesh:
         material_ids: ArrayLike = 0,
         name: str = "",
         face_ids: ArrayLike | None = None,
+        mask: int = ALL_BITS,
     ) -> None:
         self.vertices = _vertices(vertices)
         count = len(self.vertices)
@@ -89,6 +96,7 @@ class Mesh:
         self.material_ids = _material_ids(material_ids, len(self.faces))
         self.name = str(name)
         self.face_ids = _face_ids(face_ids, len(self.faces))
+        self.mask = as_mask("mask", mask)
 
     @property
     def triangle_count(self) -> int:
@@ -138,6 +146,22 @@ class Mesh:
         mesh = copy.copy(self)
         mesh.material_ids = _material_ids(material_ids, len(self.faces))
         return mesh
+
+    def with_mask(self, mask: int) -> Mesh:
+        """Copy the mesh with another mask; everything else is shared.
+
+        Parameters
+        ----------
+        mask : int
+
+        Raises
+        ------
+        ValueError, TypeError
+            As `Mesh`.
+        """
+        other = copy.copy(self)
+        other.mask = as_mask("mask", mask)
+        return other
 
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""

@@ -90,6 +90,6 @@ def combined(scenes: Iterable[Any]) -> tuple[PrimitiveGeometry, list[Material]]:
             )
             held = geometry.spheres
             parts.append(replace(held, material_ids=held.material_ids + np.int32(shift)))
-    columns = ("centers", "radii", "material_ids")
+    columns = ("centers", "radii", "material_ids", "masks")
     spheres = Spheres(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
     return PrimitiveGeometry(meshes, fields, spheres), materials

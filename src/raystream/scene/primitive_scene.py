@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from raystream.core.height_field import HeightField
+from raystream.core.masks import ALL_BITS
 from raystream.core.spheres import Spheres
 from raystream.scene.instanced_scene import InstancedScene
 from raystream.scene.primitive_geometry import NO_SPHERES, PrimitiveGeometry, combined
@@ -20,7 +21,15 @@ class PrimitiveScene(InstancedScene):
     """Spheres, and terrain without triangles."""
 
     @classmethod
-    def spheres(cls, centers: Any, radii: Any, *, material_ids: Any = 0, **parts: Any) -> Self:
+    def spheres(
+        cls,
+        centers: Any,
+        radii: Any,
+        *,
+        material_ids: Any = 0,
+        mask: int = ALL_BITS,
+        **parts: Any,
+    ) -> Self:
         """Make a scene of spheres, such as the points of a scan.
 
         Parameters
@@ -31,6 +40,8 @@ class PrimitiveScene(InstancedScene):
             Greater than 0.
         material_ids : int or array_like of shape (N,), int
             Material of each sphere.
+        mask : int
+            Of all of them, as of a `Mesh`.
         **parts
             ``materials``, ``camera`` and other parameters of `Scene`, except ``meshes``: `combine`
             puts spheres and meshes into one scene.
@@ -72,7 +83,7 @@ class PrimitiveScene(InstancedScene):
         >>> hits.normals[:2].tolist()
         [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]
         """
-        held = Spheres.of(centers, radii, material_ids)
+        held = Spheres.of(centers, radii, material_ids, mask)
         return cls._of_primitives(PrimitiveGeometry((), (), held), parts)
 
     @classmethod
@@ -83,6 +94,7 @@ class PrimitiveScene(InstancedScene):
         origin: Any = (0.0, 0.0, 0.0),
         spacing: Any = 1.0,
         material_id: int = 0,
+        mask: int = ALL_BITS,
         **parts: Any,
     ) -> Self:
         """Make a scene of terrain from an array of heights, without storing triangles.
@@ -96,7 +108,8 @@ class PrimitiveScene(InstancedScene):
             The x and y of the sample in row 0 and column 0, and an offset added to all heights.
         spacing : float or array_like of shape (2,), real
             Distance between columns along x, and between rows along y; may be negative.
-        material_id : int
+        material_id, mask : int
+            As of a `Mesh`.
         **parts
             As for `spheres`.
 
@@ -134,7 +147,7 @@ class PrimitiveScene(InstancedScene):
         >>> hits.t.item(), hits.prim_id.item(), hits.positions.tolist()
         (47.5, 18, [15.0, 25.0, 2.5])
         """
-        return cls.of_field(HeightField.of(heights, origin, spacing, material_id), **parts)
+        return cls.of_field(HeightField.of(heights, origin, spacing, material_id, mask), **parts)
 
     @classmethod
     def of_field(cls, field: HeightField, **parts: Any) -> Self:

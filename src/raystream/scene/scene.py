@@ -130,8 +130,8 @@ class Scene(PrimitiveScene):
         faces : array_like of shape (F, 3), integer
             Vertex indices of each triangle.
         **attributes
-            ``normals``, ``colors``, ``texcoords``, ``material_ids``, ``face_ids``, ``name``: see
-            `Mesh`.
+            ``normals``, ``colors``, ``texcoords``, ``material_ids``, ``face_ids``, ``name``,
+            ``mask``: see `Mesh`.
 
         Returns
         -------

@@ -70,7 +70,7 @@ def _trace_singly(structure: Structure, batch: Batch) -> Calls:
         structure.view_for(query, batch.rays, sink),
         np.uint64(array_address(sink.status)),
         None if tallies is None else np.uint64(array_address(tallies)),
-        None if query.kind is Kind.MULTI_HIT else query.on_hit,
+        query.on_hit,
     )
     if sink.visitor is None:
         return structure.queries.loops[query.kind], (scene, output_of(query, sink))

@@ -31,7 +31,12 @@ class RayCaster(TracedScene):
         """Whether `Tracer.first_hit` must see all rays: it counts, or is a subclass's."""
 
     def cast(
-        self, origin: Any, direction: Any, t_min: float = 0.0, t_max: float = math.inf
+        self,
+        origin: Any,
+        direction: Any,
+        t_min: float = 0.0,
+        t_max: float = math.inf,
+        mask: int | None = None,
     ) -> RayHit:
         """Find the nearest triangle along one ray, in a few microseconds.
 
@@ -42,6 +47,8 @@ class RayCaster(TracedScene):
             of floats are fastest.
         t_min, t_max : float
             Closed search interval, in direction lengths.
+        mask : int, optional
+            See `Tracer.first_hit`; with it, a cast takes as long as that for one ray.
 
         Returns
         -------
@@ -76,8 +83,9 @@ class RayCaster(TracedScene):
             t_min = as_number("t_min", t_min)
         if type(t_max) is not float:
             t_max = as_number("t_max", t_max)
-        if self._cast is None:
-            hits = self.first_hit(origin, direction, t_min=t_min, t_max=t_max)
+        if self._cast is None or mask is not None:
+            given = {} if mask is None else {"mask": mask}  # a subclass may not take it
+            hits = self.first_hit(origin, direction, t_min=t_min, t_max=t_max, **given)
             columns = hits.t.item(), hits.u.item(), hits.v.item(), hits.prim_id.item()
             instance_id, status = hits.instance_id.item(), hits.status.item()
         else:
@@ -90,6 +98,12 @@ class RayCaster(TracedScene):
 
     @abstractmethod
     def first_hit(
-        self, origins: Any, directions: Any, *, t_min: Any = 0.0, t_max: Any = math.inf
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: Any = 0.0,
+        t_max: Any = math.inf,
+        mask: Any = None,
     ) -> Hits:
         """See `Tracer.first_hit`."""

@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
+from raystream.core.errors import RaystreamError
+from raystream.core.masks import ray_masks
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch, as_integers, broadcast
-from raystream.core.scene_kinds import REFUSALS, check_support
+from raystream.core.scene_kinds import MACHINE_REFUSAL, REFUSALS, check_support
 from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
@@ -404,10 +406,13 @@ class TracedScene:
         t_max: Any,
         near: Any = None,
         worlds: Any = None,
+        mask: Any = None,
     ) -> RayBatch | RayArrays:
         """The rays as flat arrays on the host; or as they are, if the backend reads them."""
         if worlds is not None or self._world_count:
             self._check_for_worlds(worlds)
+        if mask is not None:
+            self._check_for_masks()
         if self._backend.capabilities.device_arrays and not self._counts:
             arrays = RayArrays(origins, directions, t_min, t_max, worlds)
             if arrays.is_on_gpu():
@@ -419,7 +424,18 @@ class TracedScene:
             rays.near = self._checked_sectors(near, rays.shape)
         if worlds is not None:
             rays.worlds = flat_ids("worlds", worlds, self._world_count, rays.shape)
+        if mask is not None:
+            rays.masks = ray_masks(mask, rays.shape)
         return rays
+
+    def _check_for_masks(self) -> None:
+        """Check that the scene and the machine support masks."""
+        check_support("mask", self.structure.triangles)
+        if not self._backend.capabilities.masks:
+            raise RaystreamError(
+                f"mask: {MACHINE_REFUSAL} device={self.device!r}, machine={self.machine!r}; use "
+                "device='cpu', machine='branching'"
+            )
 
     def _check_for_worlds(self, worlds: Any) -> None:
         """Check that worlds are given if the scene has any, and else not."""

@@ -151,6 +151,7 @@ class Tracer(MemoryEstimator, PointQueries):
         skip_prim_ids: Any = None,
         near: Any = None,
         worlds: Any = None,
+        mask: Any = None,
         progress: Progress | None = None,
     ) -> Hits:
         """Find the nearest triangle along each ray.
@@ -177,6 +178,9 @@ class Tracer(MemoryEstimator, PointQueries):
         worlds : array_like that broadcasts to S, int, optional
             In a scene whose instances are in worlds: the world of each ray; see `Scene.instances`.
             For rays in arrays on a GPU: an array on the host, or a contiguous one on the GPU.
+        mask : int or array_like that broadcasts to S, int, optional
+            32 bits, unsigned: a ray hits only what has one of its bits, see ``mask`` of `Mesh`, and
+            ``masks`` of `Scene.instances` [default: all bits]. Only on the CPU, in float32.
         progress : callable, optional
             Called with (rays done, rays).
 
@@ -199,7 +203,7 @@ class Tracer(MemoryEstimator, PointQueries):
         -----
         At equal t, before it is rounded to float32, the lowest prim_id wins, in every structure.
         """
-        rays = self._rays(origins, directions, t_min, t_max, near, worlds)
+        rays = self._rays(origins, directions, t_min, t_max, near, worlds, mask)
         query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
         return in_library(self._found(query, rays, progress), origins, directions)
 
@@ -214,13 +218,14 @@ class Tracer(MemoryEstimator, PointQueries):
         skip_prim_ids: Any = None,
         near: Any = None,
         worlds: Any = None,
+        mask: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.bool_]:
         """Find whether anything blocks each ray; cheaper than the nearest hit.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, on_hit, skip_prim_ids, near, worlds, progress
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, near, worlds, mask, progress
             See `first_hit`.
 
         Returns
@@ -234,7 +239,7 @@ class Tracer(MemoryEstimator, PointQueries):
         ValueError, TypeError, RuntimeError
             See `first_hit`.
         """
-        rays = self._rays(origins, directions, t_min, t_max, near, worlds)
+        rays = self._rays(origins, directions, t_min, t_max, near, worlds, mask)
         query = self._query(Kind.ANY_HIT, rays, on_hit, skip_prim_ids)
         return in_library(self._found(query, rays, progress), origins, directions)
 
@@ -249,13 +254,14 @@ class Tracer(MemoryEstimator, PointQueries):
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
         worlds: Any = None,
+        mask: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.int64]:
         """Count the hits along each ray.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, on_hit, skip_prim_ids, worlds, progress
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, worlds, mask, progress
             See `first_hit`.
         crossings : {"triangles", "surfaces"}
             What a ray that passes exactly through an edge or a vertex hits: every triangle there;
@@ -272,7 +278,7 @@ class Tracer(MemoryEstimator, PointQueries):
         ValueError, TypeError, RuntimeError
             As `first_hit`, or if `crossings` is unknown.
         """
-        rays = self._rays(origins, directions, t_min, t_max, None, worlds)
+        rays = self._rays(origins, directions, t_min, t_max, None, worlds, mask)
         surfaces = counts_surfaces(crossings)
         query = self._query(Kind.COUNT_HITS, rays, on_hit, skip_prim_ids, surfaces)
         return in_library(self._found(query, rays, progress), origins, directions)
@@ -289,13 +295,14 @@ class Tracer(MemoryEstimator, PointQueries):
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
         worlds: Any = None,
+        mask: Any = None,
         progress: Progress | None = None,
     ) -> MultiHits:
         """Find all hits of each ray, or the nearest few, by increasing distance.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, on_hit, skip_prim_ids, worlds
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, worlds, mask
             See `first_hit`.
         max_hits : int, optional
             Keep the nearest `max_hits` of each ray [default: all].
@@ -328,7 +335,7 @@ class Tracer(MemoryEstimator, PointQueries):
         """
         most = UNLIMITED if max_hits is None else check_least("max_hits", max_hits, 0)
         limit, surfaces = min(most, UNLIMITED), counts_surfaces(crossings)
-        rays = self._rays(origins, directions, t_min, t_max, None, worlds)
+        rays = self._rays(origins, directions, t_min, t_max, None, worlds, mask)
         query = self._query(Kind.MULTI_HIT, rays, on_hit, skip_prim_ids, surfaces, limit)
         return in_library(self._found(query, rays, progress), origins, directions)
 
@@ -344,13 +351,14 @@ class Tracer(MemoryEstimator, PointQueries):
         t_max: Any = np.inf,
         crossings: str = "triangles",
         worlds: Any = None,
+        mask: Any = None,
         progress: Progress | None = None,
     ) -> Any:
         """Run a function at the hits of each ray.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, worlds
+        origins, directions, t_min, t_max, worlds, mask
             See `first_hit`.
         on_hit : callable
             ``on_hit(hit, payload)``, a Python function that Numba compiles. It receives a `Hit`
@@ -411,7 +419,7 @@ class Tracer(MemoryEstimator, PointQueries):
         is_ordered = is_front_to_back(order)
         check_support("trace", self.structure.triangles)
         query = Query(Kind.TRACE, surfaces, is_ordered=is_ordered, on_hit=on_hit)
-        rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
+        rays = self._rays(origins, directions, t_min, t_max, None, worlds, mask)
         if isinstance(rays, RayArrays):
             changed = self._backend.answer_on_device(query, rays, progress, payload)
             return returned_payload(payload, changed, origins, directions)

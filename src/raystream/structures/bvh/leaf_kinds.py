@@ -91,7 +91,7 @@ def _keep_hits(leaf, packet, g, k, bits, found, prim_ids):
 @device
 def _take_lanes(leaf, packet, g, taken, t, u, v, prim_id):
     best, collector = leaf.lanes_best(leaf, packet, g), leaf.kind.collector
-    taken, t, number = reported_lanes(best, taken, t, prim_id)
+    taken, t, number = reported_lanes(best, taken, t, u, v, prim_id)
     if collector.is_counting != ZERO_U64:
         counts = Counts(address_of(best.hit))
         counts.count = select(taken, counts.count + np.int32(1), counts.count)
@@ -124,12 +124,13 @@ def _take_hits(leaf, packet, g, k, bits, found, prim_ids):
     while bits != ZERO_U64:
         lane = count_trailing_zeros(bits)
         bits &= bits - ONE_U64
-        taken, t, number = reported_hit(best, k, found.t[lane], prim_ids[lane])
+        t, u, v = found.t[lane], found.u[lane], found.v[lane]
+        taken, t, number = reported_hit(best, k, t, u, v, prim_ids[lane])
         if collector.is_counting != ZERO_U64:
             counts[k] = np.int32(counts[k] + np.int32(taken))
         elif taken:
             t = _collected_one(leaf.within, collector, t, lanes.t_scale[k])
-            collect_one(collector, t, found.u[lane], found.v[lane], number, to, k)
+            collect_one(collector, t, u, v, number, to, k)
     return False
 
 
@@ -145,9 +146,9 @@ def nearest_leaf(wants_any, filter_):
 
 
 @device
-def collecting_leaf(surfaces, collector):
+def collecting_leaf(surfaces, filter_, collector):
     """Leaves whose hits are all collected; or counted, see `Counts`."""
-    return _plain_leaf(Kind(_take_lanes, _take_hits, surfaces, False, None, collector))
+    return _plain_leaf(Kind(_take_lanes, _take_hits, surfaces, False, filter_, collector))
 
 
 @device

@@ -29,6 +29,7 @@ from raystream.kernels.hit_filter import (
     RayFilter,
     kept_hits,
 )
+from raystream.kernels.masks import admitted_lanes
 from raystream.kernels.ray import world_t
 from raystream.structures.bvh.packets.rays import (
     GroupLanes,
@@ -127,7 +128,9 @@ def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
     """
     own = filter_.filter
     first = first_ray(filter_.places, g)
-    if own.skip_count != ZERO_U64:
+    if own.masks != NULL:
+        taken = taken & admitted_lanes(own.masks, first, prim_id)
+    if own.skip_count != ZERO_U64 and mask_bits(taken) != ZERO_U64:
         taken = _unskipped(own, taken, prim_id, first)
     bits = mask_bits(taken)
     if own.function == NULL or bits == ZERO_U64:

@@ -14,10 +14,12 @@ from raystream.jit.constants import BYTES_64, NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.kernels.growing_buffers import GrowingBuffers
+from raystream.kernels.hit_filter import HitFilter
 from raystream.kernels.hits import HitArrays, HitBatch
 from raystream.kernels.ray import world_t
 from raystream.structures.batch_kernels import Batch, BatchKernel, Calls, CallSize
 from raystream.structures.bvh.leaf_kinds import CountsLanes, collecting_leaf
+from raystream.structures.bvh.packets.filters import packet_filter
 from raystream.structures.bvh.packets.hits import (
     COLLECTOR_BYTES,
     ENDS_BYTES,
@@ -33,6 +35,7 @@ from raystream.structures.bvh.packets.rays import (
     PACKET_RAYS,
     GroupLanes,
     PacketSource,
+    group_places,
     group_rows,
     t_transform,
 )
@@ -121,12 +124,14 @@ class RowsWanted(NamedTuple):
         Whether to sort these.
     buffers : uint64
         Address of `PacketBuffers.addresses`.
+    filter : HitFilter or None
     """
 
     surfaces: bool
     counts: np.uint64
     sorts: bool
     buffers: np.uint64
+    filter: HitFilter | None
 
 
 @device
@@ -145,7 +150,8 @@ def start_rows(number, slow_groups, source, wanted, state):
 @device
 def _begin_rows(packet, number, slow_groups, source, wanted, state):
     hits = start_rows(number, slow_groups, source, wanted, state)
-    return collecting_leaf(wanted.surfaces, hits)
+    mine = packet_filter(wanted.filter, group_places(source.order, number), slow_groups)
+    return collecting_leaf(wanted.surfaces, mine, hits)
 
 
 @device
@@ -263,7 +269,7 @@ def _visit_all(
         in_use = buffers.addresses[-2:]
         in_use[:] = 0
         at = np.uint64(buffers.addresses.ctypes.data)
-        wanted = RowsWanted(query.surfaces, NULL, sorts, at)
+        wanted = RowsWanted(query.surfaces, NULL, sorts, at, query.on_hit)
         reached = trace(begin, end, scene, source, wanted)
         used, ray_count = in_use.tolist()
         if used:
@@ -279,7 +285,7 @@ def count_all(
 ) -> Calls:
     """Count the hits of packets; see `BatchKernel.bind`."""
     counts = np.uint64(batch.sink.counts.ctypes.data)
-    wanted = RowsWanted(batch.query.surfaces, counts, False, NULL)
+    wanted = RowsWanted(batch.query.surfaces, counts, False, NULL, batch.query.on_hit)
     return trace, (structure.view, source_of(structure, batch), wanted)
 
 

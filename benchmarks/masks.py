@@ -1,0 +1,61 @@
+"""The time of queries with masks that all rays pass, against the same queries without.
+
+    python benchmarks/masks.py
+    python benchmarks/masks.py --rounds 15 --rays 100000
+
+Each ray has a mask, and two meshes have different ones that it has bits of: each hit is tested.
+Queries with and without take turns. Prints medians of the rounds, in processor time of one thread.
+"""
+
+import argparse
+import statistics
+import time
+
+import numpy as np
+
+import raystream as rs
+
+QUERIES = ("first_hit", "any_hit", "count_hits", "multi_hit")
+KERNELS = ("packet", "groups", "wavefront", "single")
+
+
+def scenes():
+    """Two meshes of a scene; and the same, placed 64 times."""
+    whole = rs.load("boxes").meshes
+    half = len(whole) // 2
+    meshes = [one.with_mask(1 if k < half else 2) for k, one in enumerate(whole)]
+    places = np.tile(np.eye(3, 4), (64, 1, 1))
+    low, high = rs.Scene(meshes).bounds
+    places[:, 0, 3], places[:, 2, 3] = np.divmod(np.arange(64), 8) * (high - low)[[0, 2], None]
+    instances = rs.Scene.instances(rs.Scene(meshes), places, masks=1 + np.arange(64) % 2)
+    return {"boxes": rs.Scene(meshes), "boxes, 64 instances": instances}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--rays", type=int, default=65_536)
+    options = parser.parse_args()
+    side = int(options.rays**0.5)
+    masks = np.full(side * side, 3)
+    masks[::2] = 7
+    for name, scene in scenes().items():
+        origins, directions = scene.camera.rays(side, side)
+        rays = np.broadcast_to(origins, directions.shape).reshape(-1, 3), directions.reshape(-1, 3)
+        for kernel in KERNELS:
+            tracer = rs.Tracer(scene, kernel=kernel)
+            for query in QUERIES:
+                ask = getattr(tracer, query)
+                times = {"without": [], "with": []}
+                for _ in range(options.rounds + 1):
+                    for label, given in (("without", {}), ("with", {"mask": masks})):
+                        started = time.thread_time()
+                        ask(*rays, **given)
+                        times[label].append(time.thread_time() - started)
+                without, with_masks = (statistics.median(one[1:]) for one in times.values())
+                ratio = with_masks / without
+                print(f"{name}, {kernel}, {query}: {1e3 * without:.1f} ms, with masks {ratio:.3f}")
+
+
+if __name__ == "__main__":
+    main()
