@@ -83,10 +83,13 @@ class Branching(Backend):
 
         Notes
         -----
+        In float64, traversals do not know the exact t of most hits: filters run on those found.
+
         A traversal finds hits in any order. So that errors do not depend on it, a query whose
         filter raises is run again, over the nearest hits of each ray.
         """
-        if query.kind is not Kind.FIRST_HIT and query.kind is not Kind.ANY_HIT:
+        is_nearest = query.kind is Kind.FIRST_HIT or query.kind is Kind.ANY_HIT
+        if not is_nearest or self.structure.precision == "float64":
             return False
         filter_: Any = query.on_hit
         at_hits = filter_.at_hits(rays)

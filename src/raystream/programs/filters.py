@@ -24,6 +24,7 @@ from raystream.programs.loop_source import Goal
 from raystream.programs.program import Program
 from raystream.programs.ray_subset import PendingRays, RaySubset
 from raystream.programs.rounds import FindHits, visit
+from raystream.programs.scene_forms import form_of
 
 
 def _keep_all(hit: Any) -> bool:
@@ -78,8 +79,7 @@ class Filter(NamedTuple):
 
     def at_hits(self, rays: RayBatch) -> FilterAtHits:
         """The filter compiled to be called by traversals."""
-        # Without instances the traversal itself skips triangles.
-        is_bare = self.function is _keep_all and self.triangles.instances is None
+        is_bare = self.function is _keep_all and form_of(self.triangles).skips_in_traversal
         function = None if is_bare else self.function
         constants = None if self.bound is None else self.bound.constants
         return FilterAtHits(function, self.skipped, constants, self.triangles, rays)
@@ -147,7 +147,7 @@ def multi_filtered(
     found_counts = np.zeros(len(batch), np.int64)
     program = filter_.program("multi", found_counts, np.int64(limit))
     program.compile(np.empty(0, np.int64))
-    collected = HitAccumulator(len(batch))
+    collected = HitAccumulator(len(batch), filter_.triangles.number_type)
 
     def run(found: HitBatch, pending: PendingRays) -> int:
         counts = np.zeros(len(found), np.int64)
@@ -168,7 +168,7 @@ def _compact(found: HitBatch, pending: PendingRays, counts: NDArray[np.int64]) -
     firsts = np.minimum(found.splits[:-1] + pending.delivered, found.splits[1:])
     splits = np.zeros(len(counts) + 1, np.int64)
     np.cumsum(counts, out=splits[1:])
-    kept = HitArrays.empty(int(splits[-1]))
+    kept = HitArrays.empty(int(splits[-1]), found.hits.t.dtype.type)
     copy_rows(0, len(counts), found.hits, firsts, counts, splits[:-1], kept)
     if pending.rays.ids is not None:
         return HitBatch(kept, splits, pending.rays.ids[found.rays], 0)

@@ -14,7 +14,7 @@ import numpy as np
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
-from raystream.programs.hits import Hit, SceneAt, direction_at, faces_front, interval_of
+from raystream.programs.hits import Hit, direction_at, faces_front, halvings_of, interval_of
 
 _WORD, _LONG = np.uint64(4), np.uint64(8)
 _TRIANGLE = np.uint64(36)
@@ -74,10 +74,10 @@ class PlacedAt(NamedTuple):
             parts.ctypes.data,
             triangles.first_ids.ctypes.data,
             len(ids),
-            _halvings(len(ids)),
+            halvings_of(len(ids)),
             triangles.mesh_splits.ctypes.data,
             len(triangles.mesh_splits) - 1,
-            _halvings(len(triangles.mesh_splits) - 1),
+            halvings_of(len(triangles.mesh_splits) - 1),
         )
         # Not the triangles themselves: they would keep each other's entry.
         kept = parts, triangles.first_ids, triangles.mesh_splits, corners
@@ -86,15 +86,6 @@ class PlacedAt(NamedTuple):
 
 _known: WeakKeyDictionary[InstancedTriangles, tuple[PlacedAt, tuple[Any, ...]]]
 _known = WeakKeyDictionary()
-
-
-def scene_at(triangles: Any) -> tuple[SceneAt | PlacedAt, tuple[Any, ...]]:
-    """Addresses of a scene's triangles, and the arrays to keep alive."""
-    return (SceneAt if triangles.instances is None else PlacedAt).of(triangles)
-
-
-def _halvings(count: int) -> int:
-    return max(count - 1, 0).bit_length()
 
 
 @device

@@ -34,7 +34,8 @@ def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
     others = held._replace(sphere_nodes=ZERO_U64)
     trees = PrimitiveTrees(held.sphere_nodes, held.sphere_blocks, others)
     rays = trees, scene.frame, batch.source
-    return trace_primitive_wavefront, (*rays, batch.wants_any, True, None, batch.results)
+    wanted = batch.wants_any, True, batch.query.on_hit, batch.results
+    return trace_primitive_wavefront, (*rays, *wanted)
 
 
 _PACKET = nearest_kernel(packet_kernel(PRIMITIVES, NEAREST))

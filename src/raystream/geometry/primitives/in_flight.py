@@ -22,7 +22,7 @@ from raystream.kernels.ray import prepare_ray
 from raystream.kernels.ray_source import load_ray
 from raystream.kernels.search import Search, SearchGoal
 from raystream.structures.bvh.node_layout import leaf_address, t_key
-from raystream.structures.bvh.walks.in_flight import NO_PRIM, SLOT, wavefront_kernel
+from raystream.structures.bvh.walks.in_flight import NO_PRIM, SLOT, filter_of, wavefront_kernel
 
 _T, _U, _V, _PRIM_ID = (np.uint64(SLOT.fields[k][1]) for k in ("t", "u", "v", "prim_id"))  # type: ignore[index]
 
@@ -53,31 +53,33 @@ def _rays(slot, frame, source):
 
 
 @device
-def _search_of(slot):
+def _search_of(slot, filter_):
     """A search that continues a slot's, and keeps its hits there."""
     at = address_of(slot)
     hits = HitAddresses(at + _T, at + _U, at + _V, at + _PRIM_ID)
     # It has a hit already: if of no primitive, at the end of the interval.
     goal = SearchGoal(ONE_U64, hits, ZERO_U64, False)
-    return Search(slot.t_min, slot.t, ONE_U64, goal, None, None, None)
+    own = filter_of(filter_, slot)
+    return Search(slot.t_min, slot.t, ONE_U64, goal, None, own, None)
 
 
 @device
 def _visit_spheres(slot, tree, frame, source, lanes, wants_any, filter_):  # noqa: ARG001
     """Test the spheres of the next leaf; returns whether the ray is done."""
     (ray, exact), block = _rays(slot, frame, source), leaf_address(tree.leaves, slot.child)
-    intersect_spheres(block, ray, exact, _search_of(slot))
+    intersect_spheres(block, ray, exact, _search_of(slot, filter_))
     slot.t_key = t_key(slot.t)
     return wants_any and slot.prim_id != NO_PRIM
 
 
 @device
-def _search_others(slot, tree, frame, source, wants_any):
+def _search_others(slot, tree, frame, source, wants_any, filter_):
     """Search the other trees for a slot's ray, which has been through the spheres'."""
     if slot.ray < np.int64(0) or (wants_any and slot.prim_id != NO_PRIM):
         return
     ray, exact = _rays(slot, frame, source)
-    traverse_trees(RayScene(tree.others, exact), ray, _search_of(slot), scratch(STACK_BYTES))
+    search = _search_of(slot, filter_)
+    traverse_trees(RayScene(tree.others, exact), ray, search, scratch(STACK_BYTES))
 
 
 #: Through the trees of `PrimitiveTrees`.

@@ -12,7 +12,7 @@ from raystream.geometry.spheres.sphere import ExactRay, intersect_spheres, load_
 from raystream.jit.cpu import device
 from raystream.jit.views import address_of
 from raystream.kernels.leaf_block import block_ray
-from raystream.kernels.queries import RaySearches, note_status, searches_of
+from raystream.kernels.queries import RaySearches, note_status, ray_filter, searches_of
 from raystream.kernels.ray import Ray, prepare_ray
 from raystream.kernels.ray_source import load_ray
 from raystream.kernels.search import begin_search, is_full
@@ -119,8 +119,8 @@ def primitive_searches(traverse) -> RaySearches:
         note_status(scene.status, i, ray.status)
         exact = load_exact(source, i, ray.t_offset / ray.t_scale, frame)
         local = prepare_ray(ray.origin, ray.direction, frame.max_coordinate)
-        tally = tally_of(scene.tallies, i)
-        search = begin_search(ray.t_min, ray.t_max, goal, tally, None, None)
+        tally, filter_ = tally_of(scene.tallies, i), ray_filter(scene.filter, i, ray)
+        search = begin_search(ray.t_min, ray.t_max, goal, tally, filter_, None)
         found = traverse(RayScene(scene.arrays, exact), local, search, memory)
         return found, ray
 

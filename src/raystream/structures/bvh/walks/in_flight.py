@@ -271,7 +271,7 @@ def append(queue, count, k, is_next):
 
 
 @device
-def _complete(slot, tree, frame, source, wants_any):
+def _complete(slot, tree, frame, source, wants_any, filter_):
     """The `complete` of a scene with one tree."""
 
 
@@ -285,8 +285,8 @@ def wavefront_kernel(visit_leaf, complete=_complete):
         the slot's next leaf and keeps their hits in the slot; returns whether its ray is done.
         `lanes` is the address of `HITS`.
     complete : device function
-        ``complete(slot, tree, frame, source, wants_any)`` searches for the ray of a slot, if it has
-        one, what else is in the scene [default: nothing].
+        ``complete(slot, tree, frame, source, wants_any, filter_)`` searches for the ray of a slot,
+        if it has one, what else is in the scene [default: nothing].
 
     Returns
     -------
@@ -323,7 +323,7 @@ def wavefront_kernel(visit_leaf, complete=_complete):
             for j in range(done_count):
                 k = item(done, j)
                 slot = Slot(slots, k)
-                complete(slot, tree, frame, source, wants_any)
+                complete(slot, tree, frame, source, wants_any, filter_)
                 finish_ray(slot, wants_any, out)
                 if ray_next < ray_end:
                     ray = load_ray(source, ray_next, frame)
