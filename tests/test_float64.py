@@ -424,11 +424,7 @@ def test_what_is_not_supported_is_named(options, message):
 
 def test_queries_that_are_not_supported_are_named(tmp_path):
     tracer = rs.Tracer(rs.load("cornell"), precision="float64")
-    ray = [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]
     for call in (
-        lambda: tracer.trace(*ray, on_hit=lambda hit, payload: None),
-        lambda: tracer.first_hit(*ray, on_hit=lambda hit: True),
-        lambda: tracer.any_hit(*ray, skip_prim_ids=[1]),
         lambda: tracer.closest_point([0.0, 0.0, 0.0]),
         lambda: tracer.save(tmp_path / "structure.npz"),
     ):

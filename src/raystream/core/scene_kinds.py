@@ -81,8 +81,8 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "device='graphics', machine='compute'": Feature(_PLACED),
         "worlds": Feature(_PLACED, "``worlds=``", _SETS),
         "counters=True": Feature((*_PLACED, *_PRIMITIVES), "``counters=True``", _COUNTS),
-        "on_hit, skip_prim_ids": Feature(_PLACED, "``on_hit=``, ``skip_prim_ids=``", _PROGRAM),
-        "trace": Feature(_PLACED, "`Tracer.trace`", _PROGRAM),
+        "on_hit, skip_prim_ids": Feature(_ALL, "``on_hit=``, ``skip_prim_ids=``"),
+        "trace": Feature(_ALL, "`Tracer.trace`"),
         "mask": Feature((*_PLACED, *_PRIMITIVES), "``mask=``", _PROGRAM),
         "update": Feature(
             _ALL,

@@ -129,12 +129,12 @@ class CudaBackend(Backend):
         Raises
         ------
         RaystreamError
-            If it has a filter or a program, in a scene with instances.
+            If it has a filter or a program, unless the scene is of triangles in float32.
         """
         if query.on_hit is not None and not self._is_plain:
             raise RaystreamError(
-                "on_hit, skip_prim_ids: not supported for rays on a GPU in a scene with instances; "
-                "copy the rays to the host"
+                "on_hit, skip_prim_ids: not supported for rays on a GPU, unless the scene is of "
+                "triangles in float32 without instances; copy the rays to the host"
             )
         return trace_on_device(self._scene, query, rays, progress, payload)
 

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.hit_filter import U_AT, V_AT
-from raystream.programs.hits import RaysAt, SceneAt
-from raystream.programs.placed import PlacedAt
+from raystream.programs.hits import RaysAt
 from raystream.programs.rows import SkipsAt
 
-#: Its numbers: whether the filter raised; from `SCENE` on the address of a `SceneAt`, or with
-#: instances of a `PlacedAt`, and the `SkipsAt` of pairs; from `DIRECTIONS` on the address and
-#: stride of the rays' directions, and whether these are float64; then the constants.
+#: Its numbers: whether the filter raised; from `SCENE` on the address of the scene's addresses, see
+#: `scene_forms.SceneForm`, and the `SkipsAt` if traversals do not skip; from `DIRECTIONS` on the
+#: address and stride of the rays' directions, and whether these are float64; then the constants.
 SCENE, DIRECTIONS, CONSTANTS = 1, 4, 7
 
-_ZERO, _1, _2, _3, _4, _5, _6 = (np.uint64(8 * k) for k in range(7))
+_ZERO, _1, _2 = (np.uint64(8 * k) for k in range(3))
 _SCENE_AT, _DIRECTIONS_AT = np.uint64(8 * SCENE), np.uint64(8 * DIRECTIONS)
 
 
@@ -26,31 +27,21 @@ def _number(at, offset):
     return load(np.uint64, at + offset)
 
 
-@device
-def scene_of(context):
-    """The `SceneAt` of a context."""
-    at = _number(context, _SCENE_AT)
-    return SceneAt(_number(at, _ZERO), _number(at, _1), _number(at, _2), _number(at, _3))
+def scene_source(fields: Sequence[str]) -> str:
+    """An expression for the scene's addresses, of these fields: ``Scene(...)``."""
+    numbers = (f"load(uint64, at + uint64({8 * k}))" for k in range(len(fields)))
+    return f"Scene({', '.join(numbers)})"
 
 
 @device
-def placed_scene_of(context):
-    """The `PlacedAt` of a context."""
-    at = _number(context, _SCENE_AT)
-    return PlacedAt(
-        _number(at, _ZERO),
-        _number(at, _1),
-        _number(at, _2),
-        _number(at, _3),
-        _number(at, _4),
-        _number(at, _5),
-        _number(at, _6),
-    )
+def scene_place(context):
+    """Where the scene's addresses are."""
+    return _number(context, _SCENE_AT)
 
 
 @device
 def skips_of(context):
-    """The pairs that rays skip, in a scene with instances."""
+    """What rays skip, where traversals do not do it."""
     at = context + _SCENE_AT
     return SkipsAt(_number(at, _1), _number(at, _2))
 

@@ -24,6 +24,7 @@ from raystream.programs.loop_source import Goal
 from raystream.programs.program import Program
 from raystream.programs.ray_subset import PendingRays, RaySubset
 from raystream.programs.rounds import FindHits, visit
+from raystream.programs.scene_forms import form_of
 
 
 def _keep_all(hit: Any) -> bool:
@@ -79,7 +80,7 @@ class Filter(NamedTuple):
     @property
     def is_bare(self) -> bool:
         """Whether there is no function to call: without instances traversals skip triangles."""
-        return self.function is _keep_all and self.triangles.instances is None
+        return self.function is _keep_all and form_of(self.triangles).skips_in_traversal
 
     def at_hits(self, rays: RayBatch) -> FilterAtHits:
         """The filter compiled to be called by traversals."""
@@ -150,7 +151,7 @@ def multi_filtered(
     found_counts = np.zeros(len(batch), np.int64)
     program = filter_.program("multi", found_counts, np.int64(limit))
     program.compile(np.empty(0, np.int64))
-    collected = HitAccumulator(len(batch))
+    collected = HitAccumulator(len(batch), filter_.triangles.number_type)
 
     def run(found: HitBatch, pending: PendingRays) -> int:
         counts = np.zeros(len(found), np.int64)
@@ -171,7 +172,7 @@ def _compact(found: HitBatch, pending: PendingRays, counts: NDArray[np.int64]) -
     firsts = np.minimum(found.splits[:-1] + pending.delivered, found.splits[1:])
     splits = np.zeros(len(counts) + 1, np.int64)
     np.cumsum(counts, out=splits[1:])
-    kept = HitArrays.empty(int(splits[-1]))
+    kept = HitArrays.empty(int(splits[-1]), found.hits.t.dtype.type)
     copy_rows(0, len(counts), found.hits, firsts, counts, splits[:-1], kept)
     if pending.rays.ids is not None:
         return HitBatch(kept, splits, pending.rays.ids[found.rays], 0)

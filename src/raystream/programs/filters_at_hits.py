@@ -25,15 +25,14 @@ from raystream.programs.filter_context import (
     DIRECTIONS,
     SCENE,
     lane_at,
-    placed_scene_of,
     rays_of,
-    scene_of,
+    scene_place,
+    scene_source,
     skips_of,
 )
-from raystream.programs.hits import hit_of
-from raystream.programs.placed import is_placed_skipped, placed_hit_of, scene_at
 from raystream.programs.program import check_function
 from raystream.programs.rows import SkipsAt
+from raystream.programs.scene_forms import SceneForm, form_of
 
 #: Arguments of a filter's code: its context, and those of `hit_filter.kept_hits`.
 _TYPES = ("uint64", "uint64", "uint64", "int32", "uint64")
@@ -75,13 +74,13 @@ class FilterAtHits:
         reader = _Reader()
         text = "" if constants is None else reader.read(constants)
         self._context = np.zeros(CONSTANTS + len(reader.values), np.uint64)
-        scene, arrays = scene_at(triangles)
+        form = form_of(triangles)
+        scene, arrays = form.addresses.of(triangles)
         row = np.array(scene, np.uint64)
         self._scene_arrays = row, arrays
         skips = SkipsAt.nowhere() if skipped is None else SkipsAt.of(skipped)
         self._context[SCENE:DIRECTIONS] = row.ctypes.data, *skips
-        is_placed = triangles.instances is not None
-        if is_placed:  # the filter itself skips triangles, not the traversal
+        if not form.skips_in_traversal:  # the filter itself does
             skips = SkipsAt.nowhere()
         directions = source.directions, source.direction_step, source.directions_are_double
         self._context[DIRECTIONS:CONSTANTS] = directions
@@ -91,7 +90,7 @@ class FilterAtHits:
         code = 0
         if function is not None:
             check_function(function, "first", constants is not None)
-            self._loop = _compile(function, text, reader.classes, is_placed)
+            self._loop = _compile(function, text, reader.classes, form)
             code = self._loop.address_of(_TYPES)
         context = self._context.ctypes.data
         self.addresses = HitFilter(*np.array((code, context, *skips, 0), np.uint64))
@@ -143,9 +142,9 @@ class _Reader:
         return f"load({number.dtype.name}, {at})"
 
 
-def _compile(function: Any, constants: str, classes: dict[str, Any], is_placed: bool) -> Loop:
+def _compile(function: Any, constants: str, classes: dict[str, Any], form: SceneForm) -> Loop:
     """The code of a filter; `constants` is an expression, or empty if it takes none."""
-    skips = "is_skipped(skips_of(context), ray, hit) or " if is_placed else ""
+    skips = "" if form.skips_in_traversal else "is_skipped(skips_of(context), ray, hit) or "
     arguments = ", ".join(filter(None, ("hit", constants)))
     known = [
         f"# {name}: {one.__module__}.{one.__qualname__} {one._fields}"
@@ -154,7 +153,8 @@ def _compile(function: Any, constants: str, classes: dict[str, Any], is_placed: 
     lines = [
         "def loop(context, bits, hits, prim_id, first):",
         *(f"    {line}" for line in known),
-        "    scene, rays, kept = scene_of(context), rays_of(context), bits",
+        "    at, rays, kept = scene_place(context), rays_of(context), bits",
+        f"    scene = {scene_source(form.addresses._fields)}",
         "    while bits != zero:",
         "        lane = count_trailing_zeros(bits)",
         "        bits &= bits - one",
@@ -167,17 +167,18 @@ def _compile(function: Any, constants: str, classes: dict[str, Any], is_placed: 
     names = {
         "accept": accept_decision(Decision, True),
         "count_trailing_zeros": count_trailing_zeros,
-        "hit_of": placed_hit_of if is_placed else hit_of,
+        "hit_of": form.hit_of,
         "ignore": np.int64(Decision.IGNORE),
-        "is_skipped": is_placed_skipped,
+        "is_skipped": form.is_skipped,
         "lane_at": lane_at,
         "load": load,
         "one": np.uint64(1),
         "rays_of": rays_of,
-        "scene_of": placed_scene_of if is_placed else scene_of,
+        "Scene": form.addresses,
+        "scene_place": scene_place,
         "skips_of": skips_of,
         "zero": np.uint64(0),
         **{number.__name__: number for number in _NUMBERS + _INTEGERS},
         **classes,
     }
-    return compile_loop("\n".join(lines) + "\n", function, names, __name__)
+    return compile_loop(form.heading + "\n".join(lines) + "\n", function, names, __name__)

@@ -14,6 +14,7 @@ from raystream.jit.simd import load, store
 from raystream.kernels.hits import HitArrays
 from raystream.kernels.intervals import halvings_of, interval_of
 from raystream.kernels.ray_source import RaySource
+from raystream.kernels.search import ROW_NUMBER, ROW_SHIFT
 
 _NOWHERE = np.uint64(0)
 _ENDED = np.uint8(0)
@@ -30,14 +31,15 @@ class Hit(NamedTuple):
     ----------
     ray : int64
         Index of the ray in the flattened batch.
-    t, u, v : float32
-        Distance in direction lengths, and weights of vertices 1 and 2.
+    t, u, v : float32, or float64 with precision="float64"
+        Distance in direction lengths, and weights of vertices 1 and 2; or where on a sphere the hit
+        is, see `Hits`.
     prim_id, mesh_id : int32
-        Triangle, counted over the whole scene, and its mesh.
+        Triangle or sphere, counted over the whole scene, and its mesh.
     is_entering : bool
         Whether the ray comes from the front of the triangle, where its vertices run
         counter-clockwise: whether it enters a closed mesh here. An instance that mirrors its object
-        keeps the front outside.
+        keeps the front outside. Of a sphere, whether the ray enters it here.
     instance_id : int32
         The instance that is hit; 0 in a scene without instances.
     """
@@ -221,12 +223,12 @@ def row_range(rows, i):
 @device
 def columns_at(rows, row):
     """t, u, v and prim_id of a row."""
-    at = row * BYTES_32
+    at = row << ROW_SHIFT
     return (
-        load(np.float32, rows.t + at),
-        load(np.float32, rows.u + at),
-        load(np.float32, rows.v + at),
-        load(np.int32, rows.prim_id + at),
+        load(ROW_NUMBER, rows.t + at),
+        load(ROW_NUMBER, rows.u + at),
+        load(ROW_NUMBER, rows.v + at),
+        load(np.int32, rows.prim_id + row * BYTES_32),
     )
 
 
@@ -272,9 +274,13 @@ def _corner(at):
 @device
 def faces_front(at, direction):
     """Whether a direction comes from the front of the triangle whose corners are at an address."""
-    ax, ay, az = _corner(at)
-    bx, by, bz = _corner(at + _VECTOR)
-    cx, cy, cz = _corner(at + _VECTOR + _VECTOR)
+    return is_front(_corner(at), _corner(at + _VECTOR), _corner(at + _VECTOR + _VECTOR), direction)
+
+
+@device
+def is_front(a, b, c, direction):
+    """Whether a direction comes from the front of a triangle with these corners, in float64."""
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
     bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
     dx, dy, dz = direction
     along = dx * (by * cz - bz * cy) + dy * (bz * cx - bx * cz) + dz * (bx * cy - by * cx)

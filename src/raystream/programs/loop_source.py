@@ -12,14 +12,13 @@ from raystream.programs.decisions import Decision
 from raystream.programs.hits import (
     close_ray,
     columns_at,
-    hit_of,
     is_open,
     position_at,
     ray_at,
     row_range,
 )
-from raystream.programs.placed import is_placed_skipped, placed_hit_of
-from raystream.programs.rows import add_one, is_skipped, keep_row, move_row, put_row
+from raystream.programs.rows import add_one, keep_row, move_row, put_row
+from raystream.programs.scene_forms import TRIANGLES, SceneForm
 
 #: Use of hits: by a program with a record, or by a filter that keeps the nearest, counts, or keeps
 #: all in order: compacted in place ("multi"), or copied to an output ("keep").
@@ -119,22 +118,22 @@ def loop_source(
     return names, lines
 
 
-def loop_globals(goal: Goal, is_placed: bool = False) -> dict[str, Any]:
-    """Globals of the source; `is_placed` for a scene with instances."""
+def loop_globals(goal: Goal, form: SceneForm = TRIANGLES) -> dict[str, Any]:
+    """Globals of the source, for a kind of scene."""
     return {
         "accept": accept_decision(Decision, goal != "trace"),
         "add_one": add_one,
         "close_ray": close_ray,
-        "columns_at": columns_at,
-        "hit_of": placed_hit_of if is_placed else hit_of,
+        "columns_at": form.of_rows(columns_at),
+        "hit_of": form.hit_of,
         "ignore": np.int64(Decision.IGNORE),
         "is_open": is_open,
-        "is_skipped": is_placed_skipped if is_placed else is_skipped,
-        "keep_row": keep_row,
-        "move_row": move_row,
+        "is_skipped": form.is_skipped,
+        "keep_row": form.of_rows(keep_row),
+        "move_row": form.of_rows(move_row),
         "one": np.uint64(1),
         "position_at": position_at,
-        "put_row": put_row,
+        "put_row": form.of_rows(put_row),
         "ray_at": ray_at,
         "row_of": row_of,
         "row_range": row_range,

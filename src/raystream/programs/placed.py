@@ -15,7 +15,7 @@ from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.intervals import halvings_of, interval_of
-from raystream.programs.hits import Hit, SceneAt, direction_at, faces_front
+from raystream.programs.hits import Hit, direction_at, faces_front
 
 _WORD, _LONG = np.uint64(4), np.uint64(8)
 _TRIANGLE = np.uint64(36)
@@ -87,11 +87,6 @@ class PlacedAt(NamedTuple):
 
 _known: WeakKeyDictionary[InstancedTriangles, tuple[PlacedAt, tuple[Any, ...]]]
 _known = WeakKeyDictionary()
-
-
-def scene_at(triangles: Any) -> tuple[SceneAt | PlacedAt, tuple[Any, ...]]:
-    """Addresses of a scene's triangles, and the arrays to keep alive."""
-    return (SceneAt if triangles.instances is None else PlacedAt).of(triangles)
 
 
 @device

@@ -13,9 +13,9 @@ from raystream.jit.user_loops import Loop, compile_loop
 from raystream.kernels.hits import HitBatch
 from raystream.programs.hits import RaysAt, RowsAt
 from raystream.programs.loop_source import Goal, loop_globals, loop_source
-from raystream.programs.placed import scene_at
 from raystream.programs.ray_subset import PendingRays
 from raystream.programs.rows import SkipsAt
+from raystream.programs.scene_forms import form_of
 
 #: Expressions that read a payload, by its number of dimensions; 0 without a payload.
 _RECORDS = {0: "None", 1: "payload[ray]", 2: "row_of(payload, ray)"}
@@ -57,12 +57,11 @@ class Program:
         self.name = check_function(function, goal, constants is not None)
         payload = arguments[0] if goal == "trace" else None
         record = _RECORDS[0 if payload is None else payload.ndim]
-        is_placed = triangles.instances is not None
+        form = form_of(triangles)
         text = _text(goal, skipped is not None, constants is not None, record)
-        # Loops are known by their text, which has to say what it is for.
-        text = f"# with instances\n{text}" if is_placed else text
-        self._loop: Loop = compile_loop(text, function, loop_globals(goal, is_placed), __name__)
-        self._scene, self._scene_arrays = scene_at(triangles)
+        text = form.heading + text
+        self._loop: Loop = compile_loop(text, function, loop_globals(goal, form), __name__)
+        self._scene, self._scene_arrays = form.addresses.of(triangles)
         skips = None if skipped is None else SkipsAt.of(skipped)
         own = [value for value in (skips, constants) if value is not None]
         self._arguments = (*own, *arguments)

@@ -78,9 +78,9 @@ def _batch(batch: RayBatch, picked: Any, shape: tuple[int, ...]) -> RayBatch:
     vectors = [_vectors(array, picked, shape) for array in (batch.origins, batch.directions)]
     limits = [
         limit.reshape(()) if len(limit) == 1 else limit[picked].reshape(shape)
-        for limit in batch.limits
+        for limit in batch.exact_limits
     ]
-    part = RayBatch(*vectors, *limits)
+    part = type(batch)(*vectors, *limits)
     part.worlds = None if batch.worlds is None else np.ascontiguousarray(batch.worlds[picked])
     masks = batch.masks
     part.masks = masks if masks is None or len(masks) == 1 else masks[picked]

@@ -11,6 +11,7 @@ from raystream.core.rays import as_host_array, as_integers
 from raystream.jit.constants import BYTES_32, ONE_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
+from raystream.kernels.search import ROW_NUMBER, ROW_SHIFT
 
 _NOWHERE = np.uint64(0)
 _LONG = np.uint64(8)
@@ -127,11 +128,11 @@ def is_skipped(skips, ray, hit):
 
 @device
 def _copy_row(rows, row, out, to):
-    at, target = row * BYTES_32, to * BYTES_32
-    store(out.t + target, load(np.float32, rows.t + at))
-    store(out.u + target, load(np.float32, rows.u + at))
-    store(out.v + target, load(np.float32, rows.v + at))
-    store(out.prim_id + target, load(np.int32, rows.prim_id + at))
+    at, target = row << ROW_SHIFT, to << ROW_SHIFT
+    store(out.t + target, load(ROW_NUMBER, rows.t + at))
+    store(out.u + target, load(ROW_NUMBER, rows.u + at))
+    store(out.v + target, load(ROW_NUMBER, rows.v + at))
+    store(out.prim_id + to * BYTES_32, load(np.int32, rows.prim_id + row * BYTES_32))
 
 
 @device

@@ -276,8 +276,6 @@ def test_what_is_not_supported_says_so() -> None:
     ray = [0, 0, 0], [0, 0, 1]
     wanted = "not supported in a scene with spheres"
     for refused in (
-        lambda: tracer.first_hit(*ray, skip_prim_ids=0),
-        lambda: tracer.trace(*ray, on_hit=lambda hit, payload: None),
         lambda: tracer.closest_point([[0, 0, 0]]),
         lambda: tracer.contains([[0, 0, 0]]),
     ):
