@@ -429,7 +429,6 @@ def test_queries_that_are_not_supported_are_named(tmp_path):
         lambda: tracer.trace(*ray, on_hit=lambda hit, payload: None),
         lambda: tracer.first_hit(*ray, on_hit=lambda hit: True),
         lambda: tracer.any_hit(*ray, skip_prim_ids=[1]),
-        lambda: tracer.closest_point([0.0, 0.0, 0.0]),
         lambda: tracer.save(tmp_path / "structure.npz"),
     ):
         with pytest.raises(rs.RaystreamError, match="not supported with precision='float64'"):

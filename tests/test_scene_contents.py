@@ -69,19 +69,10 @@ FEATURES: dict[str, tuple[Callable[[rs.Tracer], Any], str]] = {
     "cast": (lambda t: t.cast(*RAY), "worlds"),
     "render": (lambda t: rs.render(t, "raycast", size=(8, 8)), "worlds float64"),
     "heat map": (lambda t: rs.heatmap(t.scene, size=(8, 8)), "worlds"),
-    "closest_point": (
-        lambda t: t.closest_point(POINTS),
-        "instances worlds spheres float64",
-    ),
-    "signed_distance": (
-        lambda t: t.signed_distance(POINTS),
-        "instances worlds spheres float64",
-    ),
-    "contains": (lambda t: t.contains(POINTS), "instances worlds spheres float64"),
-    "winding_number": (
-        lambda t: t.winding_number(POINTS),
-        "instances worlds spheres float64",
-    ),
+    "closest_point": (lambda t: t.closest_point(POINTS), "worlds"),
+    "signed_distance": (lambda t: t.signed_distance(POINTS, method="winding"), "worlds"),
+    "contains": (lambda t: t.contains(POINTS, method="winding"), "worlds"),
+    "winding_number": (lambda t: t.winding_number(POINTS), "worlds"),
     "walk": (lambda t: walk(t, *RAY), "instances worlds spheres float64"),
     "thickness": (lambda t: rs.thickness(t, *RAY), "worlds spheres float64"),
     "lidar_returns": (lambda t: rs.lidar_returns(t, *RAY), "worlds float64"),

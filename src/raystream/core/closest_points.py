@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import HitColumns
-from raystream.core.triangles import Triangles
+from raystream.core.store import Store
 
 
 class ClosestPoints(HitColumns):
@@ -38,13 +38,13 @@ class ClosestPoints(HitColumns):
         distance: NDArray[np.float64],
         positions: NDArray[np.float64],
         weights: tuple[NDArray[np.float32], NDArray[np.float32]],
-        prim_id: NDArray[np.int32],
+        ids: tuple[NDArray[np.int32], NDArray[np.int32] | None],
         status: NDArray[np.uint8],
-        triangles: Triangles,
+        triangles: Store,
     ) -> None:
         self.distance, self.positions = distance, positions
         self.u, self.v = weights
-        self.prim_id, self.status = prim_id, status
+        (self.prim_id, self._instance_id), self.status = ids, status
         self._triangles = triangles
 
     @property

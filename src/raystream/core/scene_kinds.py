@@ -48,6 +48,9 @@ SUPPORTED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "surface_points": _PLACED,
         "out": _PLACED,
         "query_zarr": ("instances",),
+        "closest points with device='cpu'": ("instances", "primitives", "float64"),
+        "inside tests": ("instances", "primitives", "float64"),
+        "winding numbers": ("instances", "primitives", "float64"),
         "thickness": ("instances",),
         "visible_faces": ("instances",),
     }

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from raystream.core.attributes import Attributes
 from raystream.core.instances import Instances
 from raystream.core.scene_kinds import check_support
+from raystream.core.solid_parts import SolidPart
 from raystream.core.spawn import plane_offset, side_of, size_of
 
 if TYPE_CHECKING:
     from raystream.core.hits import HitColumns
+    from raystream.core.spheres import Spheres
 
 #: Names of `Triangles` that code asks other kinds for where it does not expect them.
 _OF_TRIANGLES = frozenset(("corners", "has_corners", "prim_ids", "release", "to_local"))
@@ -93,6 +95,14 @@ class Store:
         materials = np.where(prim_id < 0, np.int32(-1), np.int32(0))
         known = self.attributes
         return materials if known is None else put_known(materials, known.material_ids, prim_id)
+
+    # Solids.
+
+    #: The spheres beside triangles.
+    held_spheres: Spheres | None = None
+
+    #: The triangles as parts, each in one frame.
+    solid_parts: Callable[[], list[SolidPart]]
 
     # Frames.
 

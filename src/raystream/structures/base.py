@@ -22,7 +22,7 @@ from raystream.kernels.hits import Sink
 from raystream.kernels.queries import RayQueries, RaySearches, ray_queries, searches
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.batch_kernels import BatchKernels
-from raystream.structures.registry import StructureOptions
+from raystream.structures.registry import StructureOptions, form_of
 from raystream.structures.single_kernels import RAYS_PER_CALL, with_single
 
 #: Triangle tests per call: about 50 ms, or 0.2 s at worst in a grid. (With a quarter of it, calls
@@ -166,6 +166,17 @@ class Structure(ABC):
         sink: Sink,
     ) -> NamedTuple:
         """The view for a query that the branching machine answers ray by ray."""
+        return self.view
+
+    @property
+    def point_loop(self) -> Callable[..., None] | None:
+        """Its loop over points, see `kernels.point_queries.nearest_answer`; None without one."""
+        found: Callable[..., None] | None = form_of(self.name, "nearest")
+        return found
+
+    @property
+    def point_view(self) -> Any:
+        """What that loop reads as `view`."""
         return self.view
 
     @property

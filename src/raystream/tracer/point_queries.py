@@ -14,7 +14,7 @@ from raystream.core.rays import as_real_array, as_vectors, broadcast
 from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.point_queries import NearestArrays, PointBatch, answer_bytes
-from raystream.machines.winding import winding_of
+from raystream.machines.scene_winding import scene_winding
 from raystream.structures.registry import names_with
 from raystream.tracer.inside import InsideTest
 from raystream.tracer.memory_needed import CHECKED_RAYS
@@ -287,7 +287,7 @@ class PointQueries(RayCaster):
         given, most = as_vectors("points", points), float(accuracy)
         if not most >= 0.0:
             raise ValueError(f"accuracy: expected a number >= 0, got {accuracy}")
-        numbers = winding_of(self.structure.triangles, given.reshape(-1, 3), progress, most)
+        numbers = scene_winding(self.structure.triangles, given.reshape(-1, 3), progress, most)
         return numbers.reshape(given.shape[:-1])
 
     def _nearest(
@@ -307,18 +307,21 @@ class PointQueries(RayCaster):
         out = NearestArrays.empty(count, capacity)
         self._backend.find_nearest(PointBatch(local, limits, capacity), out, progress)
         wide = shape if k is None else (*shape, k)
+        prim_id, instance_id = self.structure.triangles.split_ids(out.prim_id.reshape(wide))
         return ClosestPoints(
             out.distance.reshape(wide),
             out.positions.reshape(*wide, 3),
             (out.u.reshape(wide), out.v.reshape(wide)),
-            out.prim_id.reshape(wide),
+            (prim_id, instance_id),
             out.status.reshape(shape),
             self.structure.triangles,
         )
 
     def _check_points(self) -> None:
         """Check that the structure and the backend find closest points."""
-        check_support("closest points", self.structure.triangles)
+        # Other kinds of scene than triangles in float32 have loops for the CPU alone.
+        feature = f"closest points with device={self.device!r}"
+        check_support(feature, self.structure.triangles)
         known = names_with("nearest")
         if self.structure.name not in known or not self._backend.capabilities.points:
             names = " or ".join(f"structure={name!r}" for name in known)

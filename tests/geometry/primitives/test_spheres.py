@@ -279,8 +279,6 @@ def test_what_is_not_supported_says_so() -> None:
         lambda: tracer.first_hit(*ray, skip_prim_ids=0),
         lambda: tracer.trace(*ray, on_hit=lambda hit, payload: None),
         lambda: tracer.save("spheres.npz"),
-        lambda: tracer.closest_point([[0, 0, 0]]),
-        lambda: tracer.contains([[0, 0, 0]]),
         lambda: rs.thickness(tracer, *ray),
         lambda: rs.surface_points(tracer, 5),
     ):

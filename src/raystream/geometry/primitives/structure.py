@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from raystream.core.primitives import Primitives
 from raystream.geometry.fields.levels import field_levels
 from raystream.geometry.primitives.batches import batch_kernels
+from raystream.geometry.primitives.nearest import find_among_all, find_in_trees
 from raystream.geometry.primitives.records import (
     FIELD_ADDRESSES,
     SPHERES_PER_BLOCK,
@@ -135,6 +136,7 @@ class PrimitiveBvh(PrimitiveStructure):
 
     _kind = BvhStructure
     traverse = staticmethod(traverse_trees)
+    point_loop = staticmethod(find_in_trees)  # type: ignore[assignment]
     stack_bytes = STACK_BYTES
 
     def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
@@ -156,6 +158,7 @@ class PrimitiveBrute(PrimitiveStructure):
 
     _kind = BruteStructure
     traverse = staticmethod(traverse_all)
+    point_loop = staticmethod(find_among_all)  # type: ignore[assignment]
     stack_bytes = STACK_BYTES
 
     @property

@@ -1,0 +1,78 @@
+"""Winding numbers in scenes of any kind: sums over parts, each in a frame of its own.
+
+An affine transform keeps winding numbers, up to the sign of its determinant. Instances keep that,
+too: the front of a mirrored one stays in front, as if its faces were turned.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.solid_parts import SolidPart
+from raystream.core.store import Store
+from raystream.geometry.spheres.around import count_around
+from raystream.jit.threads import Progress, part_of
+from raystream.kernels.solids import solids_of
+from raystream.machines.batch import run_calls
+from raystream.machines.winding import are_valid, inside_by_winding, winding_of
+from raystream.structures.batch_kernels import CallSize
+
+#: Decisions by numbers that may be wrong by less than this come first.
+_ROUGHLY = 0.125
+
+#: Tests of spheres in a call: some milliseconds.
+_TESTS_PER_CALL = 1 << 22
+
+
+def scene_winding(
+    store: Store,
+    points: NDArray[np.generic],
+    progress: Progress | None = None,
+    accuracy: float = 0.0,
+) -> NDArray[np.float64]:
+    """Winding numbers of points of shape (N, 3), world space; NaN for invalid ones."""
+    parts = store.solid_parts()
+    numbers = np.where(are_valid(points), 0.0, np.nan)
+    own, count = accuracy / max(len(parts), 1), len(points)
+    for k, part in enumerate(parts):
+        report = part_of(progress, k * count, count, len(parts) * count)
+        rows = _rows_near(part, points)
+        if len(rows):
+            numbers[rows] += winding_of(part.triangles, part.moved(points[rows]), report, own)
+    _add_spheres(store, points, numbers)
+    return numbers
+
+
+def inside_scene(
+    store: Store, points: NDArray[np.generic], progress: Progress | None = None
+) -> NDArray[np.bool_]:
+    """Whether winding numbers of points of shape (N, 3) are above 1/2 or below -1/2."""
+    if not store.kinds:
+        return inside_by_winding(store, points, progress)  # type: ignore[arg-type]
+    numbers = np.abs(scene_winding(store, points, progress, _ROUGHLY))
+    doubtful = np.flatnonzero(np.abs(numbers - 0.5) <= _ROUGHLY)
+    numbers[doubtful] = np.abs(scene_winding(store, points[doubtful]))
+    inside: NDArray[np.bool_] = numbers > 0.5
+    return inside
+
+
+def _rows_near(part: SolidPart, points: NDArray[np.generic]) -> NDArray[np.int64]:
+    """The valid points where a part's winding number may differ from 0."""
+    near = are_valid(points)
+    if part.box is not None and solids_of(part.triangles).is_closed_together:
+        near &= ((points >= part.box[0]) & (points <= part.box[1])).all(axis=1)
+    return np.flatnonzero(near)
+
+
+def _add_spheres(store: Any, points: NDArray[np.generic], numbers: NDArray[np.float64]) -> None:
+    """Add the number of spheres around each point."""
+    spheres = store.held_spheres
+    if spheres is None or not len(spheres):
+        return
+    most = max(_TESTS_PER_CALL // len(spheres), 1)
+    places = np.ascontiguousarray(points, np.float64)
+    calls = count_around, (places, spheres.centers, spheres.radii, numbers)
+    run_calls(calls, (0, len(places)), CallSize(most, most))
