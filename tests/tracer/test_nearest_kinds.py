@@ -362,3 +362,15 @@ def test_insides_in_float64(method) -> None:
         assert (tracer.contains(points, method=method) == wanted).all()
         numbers = tracer.winding_number(points)
         np.testing.assert_allclose(numbers[wanted].min(), 1.0)
+
+
+def test_instances_from_afar() -> None:
+    """Boxes of absent children are infinitely far away, and so is the limit at first."""
+    rng = np.random.default_rng(24)
+    objects = [rs.Scene.from_arrays(rng.normal(size=(9, 3)), np.arange(9).reshape(-1, 3))]
+    transforms = rng.normal(size=(3, 3, 4)) * 0.01
+    transforms[:, :, 3] *= 100.0
+    scene = rs.Scene.instances(objects, transforms, [0, 0, 0])
+    points = rng.normal(size=(200, 3)) * 10.0 ** rng.uniform(2.0, 12.0, (200, 1))
+    tree, brute = both(scene)
+    assert_same(tree.closest_points(points, 4), brute.closest_points(points, 4))

@@ -175,7 +175,7 @@ class Primitives(Store):
             corners = field.corners_of(np.arange(len(field)), local).astype(np.float32)
             splits = np.array([0, len(field)], np.int64)
             part = Triangles.from_local(corners, splits, self.center, self.scale)
-            parts.append(SolidPart(part, first_mesh + k))
+            parts.append(SolidPart(part, first_mesh + k, open_kind="a height field"))
         return parts
 
     def solid_parts(self) -> list[SolidPart]:

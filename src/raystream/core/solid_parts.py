@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from raystream.core.triangles import Triangles
 
 
 class SolidPart(NamedTuple):
@@ -24,12 +21,15 @@ class SolidPart(NamedTuple):
         World space to the space of the triangles, if that is another one.
     box : ndarray of shape (2, 3), or None
         Holds all that a closed surface surrounds, world space.
+    open_kind : str, or None
+        What it is, if that is open by its nature.
     """
 
-    triangles: Triangles
+    triangles: Any
     first_mesh: int = 0
     inverse: NDArray[np.float64] | None = None
     box: NDArray[np.float64] | None = None
+    open_kind: str | None = None
 
     def moved(self, points: NDArray[np.generic]) -> NDArray[np.generic]:
         """World points of shape (N, 3) in the space of the triangles."""

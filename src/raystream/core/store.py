@@ -16,7 +16,6 @@ from raystream.core.spawn import plane_offset, side_of, size_of
 
 if TYPE_CHECKING:
     from raystream.core.hits import HitColumns
-    from raystream.core.spheres import Spheres
 
 #: Names of `Triangles` that code asks other kinds for where it does not expect them.
 _OF_TRIANGLES = frozenset(("corners", "has_corners", "prim_ids", "release", "to_local"))
@@ -98,8 +97,8 @@ class Store:
 
     # Solids.
 
-    #: The spheres beside triangles.
-    held_spheres: Spheres | None = None
+    #: The `Spheres` beside triangles, if there are any.
+    held_spheres: Any = None
 
     #: The triangles as parts, each in one frame.
     solid_parts: Callable[[], list[SolidPart]]

@@ -240,6 +240,9 @@ def _to_local(point, frame):
 #: ``_load_local(points, i, frame)``: point i, and its status.
 _load_local = loader(load_point, _to_local)
 
+#: ``_load_scaled(points, i, scale)``: point i of world space, in local units.
+_load_scaled = loader(load_point, scaled)
+
 
 @device
 def _moved(point, frame):
@@ -268,7 +271,7 @@ def _read_point(scene, i):
 @device
 def _in_world(query, points, i, frame):
     """The query of point i for shapes in world space."""
-    point, moved = scaled(load_point(points, i), frame.scale), query.moved
+    point, moved = _load_scaled(points, i, frame.scale), query.moved
     center = scaled(frame.center, frame.scale)
     if query.is_moved:
         moved = moved[0] + center[0], moved[1] + center[1], moved[2] + center[2]

@@ -35,11 +35,14 @@ def scene_winding(
 ) -> NDArray[np.float64]:
     """Winding numbers of points of shape (N, 3), world space; NaN for invalid ones."""
     parts = store.solid_parts()
-    numbers = np.where(are_valid(points), 0.0, np.nan)
-    own, count = accuracy / max(len(parts), 1), len(points)
+    is_valid = are_valid(points)
+    numbers, valid = np.where(is_valid, 0.0, np.nan), np.flatnonzero(is_valid)
+    order = np.argsort(points[valid, 0])
+    by_x = valid[order]
+    own, count = accuracy / max(len(parts), 1), max(len(points), 1)
     for k, part in enumerate(parts):
         report = part_of(progress, k * count, count, len(parts) * count)
-        rows = _rows_near(part, points)
+        rows = _rows_near(part, points, by_x)
         if len(rows):
             numbers[rows] += winding_of(part.triangles, part.moved(points[rows]), report, own)
     _add_spheres(store, points, numbers)
@@ -59,12 +62,17 @@ def inside_scene(
     return inside
 
 
-def _rows_near(part: SolidPart, points: NDArray[np.generic]) -> NDArray[np.int64]:
-    """The valid points where a part's winding number may differ from 0."""
-    near = are_valid(points)
-    if part.box is not None and solids_of(part.triangles).is_closed_together:
-        near &= ((points >= part.box[0]) & (points <= part.box[1])).all(axis=1)
-    return np.flatnonzero(near)
+def _rows_near(
+    part: SolidPart, points: NDArray[np.generic], by_x: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """The rows, of those ordered by x, where a part's winding number may differ from 0."""
+    if part.box is None or not solids_of(part.triangles).is_closed_together:
+        return by_x
+    low, high = part.box
+    first, end = np.searchsorted(points[by_x, 0], (low[0], high[0]))
+    rows = by_x[first : end + 1]
+    near: NDArray[np.bool_] = ((points[rows] >= low) & (points[rows] <= high)).all(axis=1)
+    return rows[near]
 
 
 def _add_spheres(store: Any, points: NDArray[np.generic], numbers: NDArray[np.float64]) -> None:

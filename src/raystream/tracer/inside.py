@@ -55,7 +55,7 @@ class InsideTest:
         self._triangles = tracer.structure.triangles
         self._uses_rays = method == "rays"
         for part in self._triangles.solid_parts() if self._uses_rays else ():
-            if not solids_of(part.triangles).is_closed_together:
+            if part.open_kind or not solids_of(part.triangles).is_closed_together:
                 raise ValueError(
                     f"method='rays' cannot tell inside from outside: {self._open_meshes(part)}; "
                     "use method='winding'"
@@ -63,9 +63,8 @@ class InsideTest:
 
     def _open_meshes(self, part: SolidPart) -> str:
         """Name the meshes that are not closed and their open edges, some of them if many."""
-        first_field = len(self._tracer.scene.meshes) if self._tracer.scene else 0
-        if self._triangles.kinds == ("primitives",) and part.first_mesh >= first_field:
-            return "a height field is an open surface"
+        if part.open_kind:
+            return f"{part.open_kind} is an open surface"
         found = open_edges(part.triangles)
         open_ids = found.mesh_ids + part.first_mesh
         names = [self._tracer.scene.meshes[i].name for i in open_ids[:_MOST_NAMED]]

@@ -27,7 +27,7 @@ class PointQueries(RayCaster):
     def closest_point(
         self, points: Any, *, max_distance: Any = np.inf, progress: Progress | None = None
     ) -> ClosestPoints:
-        """Find the nearest point on the scene's triangles for each point.
+        """Find the nearest point on the scene's surfaces for each point.
 
         Parameters
         ----------
@@ -51,6 +51,9 @@ class PointQueries(RayCaster):
             If a shape does not fit, `max_distance` is negative or NaN, or the tracer's structure,
             device or machine does not support the query: ``structure="bvh"`` and ``"brute"`` on
             the branching machines of ``device="cpu"`` and ``"cuda"`` do.
+        RaystreamError
+            If the scene has instances in worlds; or, with ``device="cuda"``, any instances,
+            spheres or height fields, or ``precision="float64"``.
         TypeError
             If an array does not hold real numbers.
         MemoryError
@@ -66,9 +69,18 @@ class PointQueries(RayCaster):
         and those with a NaN or infinite vertex, are ignored, as they are by rays: the nearest
         point is never on them.
 
+        A sphere's distance is that of its surface, also from within; of all points of a sphere,
+        the one nearest to its centre is the one above it, along z. The distance from an instance
+        is that in world space, under any transform: of triangles whose vertices are moved there
+        in float64. With ``precision="float64"`` vertices are not rounded, and triangles without
+        area count as the segments they are. The error of all these is below 2**-48 of the sum of
+        the distance, the triangle's or the sphere's size and, of spheres and instances, the
+        largest coordinate [2]_. Equal distances from instances are ordered by instance_id first.
+
         References
         ----------
         .. [1] ``docs/decisions/0049-closest-point.rst``.
+        .. [2] ``docs/decisions/0079-points-among-kinds.rst``.
 
         Examples
         --------
@@ -202,7 +214,9 @@ class PointQueries(RayCaster):
         ValueError
             If a shape does not fit; if `method` is unknown; or if it is ``"rays"``, and the scene's
             surface is not closed, with the open meshes and the first of their open edges: then the
-            parity of crossings means nothing.
+            parity of crossings means nothing. A height field is an open surface.
+        RaystreamError
+            If the scene has instances in worlds.
         TypeError
             If the points are not real numbers.
 
@@ -212,6 +226,9 @@ class PointQueries(RayCaster):
         together, and it is closed if its triangles traverse each edge as often in one direction as
         in the other; vertices with equal coordinates are one. Triangles without area count if they
         are needed to close it, as those of a file whose edges are split on one side only.
+
+        Spheres are closed: inside is what is within the radius. Each object of instances has to be
+        closed by itself.
 
         A point within several closed meshes, or overlapping parts of one, is inside. A mesh
         that faces inward within one that faces outward is a cavity. Both methods find points whose
@@ -259,6 +276,8 @@ class PointQueries(RayCaster):
         ValueError, TypeError
             If the points are not real numbers of shape S + (3,), or `accuracy` is not a number of
             at least 0.
+        RaystreamError
+            If the scene has instances in worlds.
 
         Notes
         -----
@@ -268,6 +287,9 @@ class PointQueries(RayCaster):
         error bound: the bounds of all groups together are below `accuracy`; otherwise the exact
         sum is computed. `contains` does this automatically, with the same results as with exact
         sums.
+
+        Each sphere around a point adds 1, and 1/2 where the point is on it. Instances add the
+        numbers of their objects, also where they mirror: their fronts stay in front.
 
         References
         ----------

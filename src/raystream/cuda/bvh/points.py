@@ -20,7 +20,7 @@ _STRIDE = np.int32(4)  # from one number of a triangle to the next
 def _enter(box, line, search, _near, far):
     if line.is_far:
         squared = far_distance(box, line)
-        return np.float32(squared), squared <= search.limit * line.unit
+        return np.float32(squared), squared <= search.limit
     distance = near_distance(box, line)
     return distance, distance <= far
 

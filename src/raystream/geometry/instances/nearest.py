@@ -7,11 +7,13 @@ triangles. The corners of triangles are moved to world space in float64.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, load, widen
@@ -22,6 +24,7 @@ from raystream.kernels.nearest import RowShape, corners_at, offer_squared, trian
 from raystream.kernels.point_queries import PointSearch, nearest_answer
 from raystream.kernels.point_triangle import triangle_features
 from raystream.kernels.ray import largest
+from raystream.structures.base import Structure
 from raystream.structures.bvh.nearest import (
     STRIDE,
     line_of,
@@ -31,9 +34,6 @@ from raystream.structures.bvh.nearest import (
 )
 from raystream.structures.bvh.steps import leaf_blocks
 from raystream.structures.bvh.walks.single import STACK_BYTES
-
-if TYPE_CHECKING:
-    from raystream.geometry.instances.structure import InstancedStructure
 
 _STACK = np.uint64(STACK_BYTES)
 _LEAF_SHIFT = np.int32(3)
@@ -98,17 +98,21 @@ def _norm(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     return norms
 
 
-def placed_records(scene: InstancedStructure) -> NDArray[np.void]:
-    """The `PlacedRecord` of each leaf of a structure; the caller keeps the structure alive."""
-    order, scale = scene.trees.order, scene.frame.scale
-    instances = scene.triangles.instances
+def placed_records(
+    triangles: InstancedTriangles,
+    objects: Sequence[Structure],
+    order: NDArray[np.integer],
+    scale: float,
+) -> NDArray[np.void]:
+    """The `PlacedRecord` of some instances, in an order; the caller keeps the objects alive."""
+    instances = triangles.instances
     ids = instances.object_ids[order]
     records = np.zeros(len(order), _PLACED)
-    views = [one.view._asdict() for one in scene.objects]
+    views = [one.view._asdict() for one in objects]
     for name in _ADDRESSES:
         table = np.array([held.get(name, 0) for held in views], np.uint64)
         records[name] = table[ids]
-    stores = scene.triangles.objects
+    stores = triangles.objects
     scales = np.array([one.scale for one in stores])[ids]
     centers = np.array([one.center for one in stores]).reshape(-1, 3)[ids]
     reaches = np.array([float(one.max_coordinate) for one in stores])[ids]
@@ -129,13 +133,12 @@ def placed_records(scene: InstancedStructure) -> NDArray[np.void]:
     inside = np.abs(centers).max(axis=1, initial=0.0) * scales + reaches
     records["reach"] = shifts + _norm(to_world) * inside
     records["max_coordinate"] = reaches
-    records["first_id"] = scene.triangles.first_ids[order]
+    records["first_id"] = triangles.first_ids[order]
     return records
 
 
-def placed_view(scene: InstancedStructure, records: NDArray[np.void]) -> PlacedInstances:
-    """The view of the records, which the caller keeps alive."""
-    nodes = scene.trees.nodes
+def placed_view(nodes: NDArray[np.float32], records: NDArray[np.void]) -> PlacedInstances:
+    """The view of a tree and its records, which the caller keeps alive."""
     at = np.uint64(nodes.ctypes.data if len(nodes) else 0)
     return PlacedInstances(at, np.uint64(records.ctypes.data), np.uint64(len(records)))
 

@@ -153,12 +153,12 @@ class InstancedStructure(Structure):
 
     @cached_property
     def _placed(self) -> NDArray[np.void]:
-        return placed_records(self)
+        return placed_records(self.triangles, self.objects, self.trees.order, self.frame.scale)
 
     @property
     def point_view(self) -> PlacedInstances:
         """The instances for points, made once."""
-        return placed_view(self, self._placed)
+        return placed_view(self.trees.nodes, self._placed)
 
     def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
         """The same objects, with instances elsewhere."""

@@ -53,7 +53,7 @@ STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
 _KEY_BITS, _FIRST = np.int32(~7), np.int32(0)
 
 #: Below infinity, the distance of absent children.
-_MOST = np.float32(np.finfo(np.float32).max)
+_MOST, _MOST64 = np.float32(np.finfo(np.float32).max), np.float64(np.finfo(np.float64).max)
 
 #: Points further from the origin than this many times the scene's largest coordinate: in float32
 #: the rounding of the point would be too much of the differences between boxes.
@@ -121,7 +121,8 @@ def box_distances(box, line, search, far):
     """Bounds of the squared distances of boxes, and which are within the limit."""
     if line.is_far:
         squared = far_distance(box, line)
-        return minimum(narrow(squared), _MOST), squared <= search.limit * line.unit
+        limit = min(search.limit * line.unit, _MOST64)
+        return minimum(narrow(squared), _MOST), squared <= limit
     distances = near_distance(box, line)
     return distances, distances <= far
 
