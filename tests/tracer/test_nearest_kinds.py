@@ -274,7 +274,8 @@ def test_float64_trees_have_the_bits_of_brute_force(seed, k, shift) -> None:
     count = int(rng.integers(1, 40))
     soup = shift + rng.choice([1.0, 0.1]) * rng.integers(-5, 6, (3 * count, 3))
     scene = rs.Scene.from_arrays(soup, np.arange(3 * count).reshape(-1, 3))
-    points = np.concatenate([shift + rng.normal(size=(40, 3)) * rng.choice([1.0, 1e9]), soup])
+    far = shift + rng.normal(size=(40, 3)) * rng.choice([1.0, 1e9, 1e13])
+    points = np.concatenate([far, soup])
     tree, brute = both(scene, precision="float64")
     assert_same(tree.closest_points(points, k), brute.closest_points(points, k))
 

@@ -164,7 +164,7 @@ class Primitives(Store):
         return np.where(numbers < first, numbers, first + ((numbers - first) >> 1)), None
 
     @property
-    def held_spheres(self) -> Spheres:  # type: ignore[override]
+    def held_spheres(self) -> Spheres:
         """The spheres; see `Store`."""
         return self.spheres
 

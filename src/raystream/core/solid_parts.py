@@ -35,5 +35,6 @@ class SolidPart(NamedTuple):
         """World points of shape (N, 3) in the space of the triangles."""
         if self.inverse is None:
             return points
-        moved: NDArray[np.float64] = points @ self.inverse[:, :3].T + self.inverse[:, 3]
+        linear, shift = self.inverse[:, :3], self.inverse[:, 3]
+        moved: NDArray[np.float64] = points.astype(np.float64) @ linear.T + shift
         return moved

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import INVALID, VALID
-from raystream.jit.constants import ONE_U64, ZERO_F32, ZERO_U64
+from raystream.jit.constants import ONE_U64, ZERO_F32, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, prefetch, store
 from raystream.jit.threads import thread_count
@@ -65,6 +65,9 @@ _AHEAD = np.uint64(2)
 #: The squared limit is larger than the square of the limit by more than the rounding; whether a
 #: triangle lies within is decided by its distance.
 _SLACK, _TINY = 1.0 + 2.0**-48, 2.0**-1000
+
+#: More than the rounding of a sum, in units of a term: the other's is within that of distances.
+_SUM_ROUNDING = 2.0**-52
 
 
 class PointBatch(NamedTuple):
@@ -197,6 +200,8 @@ class PointQuery(NamedTuple):
         The point to search for; see `_NEAREST_FAR`.
     local : triple of float64
         The same in the local frame, that of the boxes.
+    slack : float64
+        By how much that differs from `moved`.
     is_moved : bool
         Whether it is another one.
     limit : float64
@@ -208,6 +213,7 @@ class PointQuery(NamedTuple):
     point: tuple[float, float, float]
     moved: tuple[float, float, float]
     local: tuple[float, float, float]
+    slack: float
     is_moved: bool
     limit: float
     status: np.uint8
@@ -265,19 +271,20 @@ def _read_point(scene, i):
     limit = load(np.float64, scene.limits + i * scene.limit_step)
     point, status = _load_local(scene.points, i, scene.frame)
     moved, is_moved = _moved(point, scene.frame)
-    return PointQuery(point, moved, moved, is_moved, limit, status)
+    return PointQuery(point, moved, moved, ZERO_F64, is_moved, limit, status)
 
 
 @device
 def _in_world(query, points, i, frame):
     """The query of point i for shapes in world space."""
     point, moved = _load_scaled(points, i, frame.scale), query.moved
-    center = scaled(frame.center, frame.scale)
-    if query.is_moved:
+    center, slack, is_moved = scaled(frame.center, frame.scale), ZERO_F64, query.is_moved
+    if is_moved:
         moved = moved[0] + center[0], moved[1] + center[1], moved[2] + center[2]
+        slack = _SUM_ROUNDING * largest(center)
     else:
         moved = point
-    return PointQuery(point, moved, query.local, query.is_moved, query.limit, query.status)
+    return PointQuery(point, moved, query.local, slack, is_moved, query.limit, query.status)
 
 
 @device

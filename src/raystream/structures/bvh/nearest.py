@@ -180,7 +180,7 @@ class PointLine(NamedTuple):
 @device
 def line_of(query, frame):
     """A `PointQuery` as the tests of boxes take it."""
-    return placed_line(query.local, query.moved, frame, ZERO_F64, ONE_F64)
+    return placed_line(query.local, query.moved, frame, query.slack, ONE_F64)
 
 
 @device
