@@ -309,6 +309,14 @@ def test_signed_distance_of_one_sphere() -> None:
     assert tracer.signed_distance(points).tolist() == [-2.0, -1.0, 3.0, 1.0]
 
 
+def test_spheres_around_points_by_hand() -> None:
+    """One inside counts 1, one that the point is on 1/2."""
+    scene = rs.Scene.spheres([[0, 0, 0], [1, 0, 0]], [2.0, 1.0])
+    points = [[0, 0, 0], [0.5, 0, 0], [2, 0, 0], [9, 9, 9], [1e9, 0, 0]]
+    for tracer in both(scene):
+        assert tracer.winding_number(points).tolist() == [1.5, 2.0, 1.0, 0.0, 0.0]
+
+
 def test_height_fields_are_open() -> None:
     tracer = rs.Tracer(rs.Scene.height_field(np.zeros((30, 40))))
     with pytest.raises(ValueError, match="a height field is an open surface"):

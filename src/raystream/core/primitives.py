@@ -163,11 +163,6 @@ class Primitives(Store):
             return numbers, None
         return np.where(numbers < first, numbers, first + ((numbers - first) >> 1)), None
 
-    @property
-    def held_spheres(self) -> Spheres:
-        """The spheres; see `Store`."""
-        return self.spheres
-
     @cached_property
     def _field_parts(self) -> list[SolidPart]:
         parts, first_mesh = [], len(self.triangles.mesh_splits) - 1

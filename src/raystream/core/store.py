@@ -97,9 +97,6 @@ class Store:
 
     # Solids.
 
-    #: The `Spheres` beside triangles, if there are any.
-    held_spheres: Any = None
-
     #: The triangles as parts, each in one frame.
     solid_parts: Callable[[], list[SolidPart]]
 

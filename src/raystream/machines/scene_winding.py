@@ -6,35 +6,29 @@ too: the front of a mirrored one stays in front, as if its faces were turned.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.solid_parts import SolidPart
-from raystream.core.store import Store
-from raystream.geometry.spheres.around import count_around
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.solids import solids_of
 from raystream.machines.batch import run_calls
 from raystream.machines.winding import are_valid, inside_by_winding, winding_of
+from raystream.structures import Structure
 from raystream.structures.batch_kernels import CallSize
 
 #: Decisions by numbers that may be wrong by less than this come first.
 _ROUGHLY = 0.125
 
-#: Tests of spheres in a call: some milliseconds.
-_TESTS_PER_CALL = 1 << 22
-
 
 def scene_winding(
-    store: Store,
+    structure: Structure,
     points: NDArray[np.generic],
     progress: Progress | None = None,
     accuracy: float = 0.0,
 ) -> NDArray[np.float64]:
     """Winding numbers of points of shape (N, 3), world space; NaN for invalid ones."""
-    parts = store.solid_parts()
+    parts = structure.triangles.solid_parts()
     is_valid = are_valid(points)
     numbers, valid = np.where(is_valid, 0.0, np.nan), np.flatnonzero(is_valid)
     order = np.argsort(points[valid, 0])
@@ -45,19 +39,23 @@ def scene_winding(
         rows = _rows_near(part, points, by_x)
         if len(rows):
             numbers[rows] += winding_of(part.triangles, part.moved(points[rows]), report, own)
-    _add_spheres(store, points, numbers)
+    places = np.ascontiguousarray(points, np.float64)
+    calls = structure.on_host.around_calls(places, numbers)
+    if calls is not None:
+        most = structure.rays_per_call
+        run_calls(calls, (0, len(points)), CallSize(structure.least_rays, most))
     return numbers
 
 
 def inside_scene(
-    store: Store, points: NDArray[np.generic], progress: Progress | None = None
+    structure: Structure, points: NDArray[np.generic], progress: Progress | None = None
 ) -> NDArray[np.bool_]:
     """Whether winding numbers of points of shape (N, 3) are above 1/2 or below -1/2."""
-    if not store.kinds:
-        return inside_by_winding(store, points, progress)  # type: ignore[arg-type]
-    numbers = np.abs(scene_winding(store, points, progress, _ROUGHLY))
+    if not structure.triangles.kinds:
+        return inside_by_winding(structure.triangles, points, progress)
+    numbers = np.abs(scene_winding(structure, points, progress, _ROUGHLY))
     doubtful = np.flatnonzero(np.abs(numbers - 0.5) <= _ROUGHLY)
-    numbers[doubtful] = np.abs(scene_winding(store, points[doubtful]))
+    numbers[doubtful] = np.abs(scene_winding(structure, points[doubtful]))
     inside: NDArray[np.bool_] = numbers > 0.5
     return inside
 
@@ -73,14 +71,3 @@ def _rows_near(
     rows = by_x[first : end + 1]
     near: NDArray[np.bool_] = ((points[rows] >= low) & (points[rows] <= high)).all(axis=1)
     return rows[near]
-
-
-def _add_spheres(store: Any, points: NDArray[np.generic], numbers: NDArray[np.float64]) -> None:
-    """Add the number of spheres around each point."""
-    spheres = store.held_spheres
-    if spheres is None or not len(spheres):
-        return
-    most = max(_TESTS_PER_CALL // len(spheres), 1)
-    places = np.ascontiguousarray(points, np.float64)
-    calls = count_around, (places, spheres.centers, spheres.radii, numbers)
-    run_calls(calls, (0, len(places)), CallSize(most, most))

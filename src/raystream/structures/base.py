@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 from weakref import WeakValueDictionary
 
+import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
@@ -21,7 +22,7 @@ from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.kernels.queries import RayQueries, RaySearches, ray_queries, searches
 from raystream.kernels.ray import SceneFrame
-from raystream.structures.batch_kernels import BatchKernels
+from raystream.structures.batch_kernels import BatchKernels, Calls
 from raystream.structures.registry import StructureOptions, form_of
 from raystream.structures.single_kernels import RAYS_PER_CALL, with_single
 
@@ -178,6 +179,14 @@ class Structure(ABC):
     def point_view(self) -> Any:
         """What that loop reads as `view`."""
         return self.view
+
+    def around_calls(
+        self,
+        points: NDArray[np.float64],
+        numbers: NDArray[np.float64],
+    ) -> Calls | None:
+        """The calls that add what is not triangles to winding numbers of world points, if any."""
+        return None
 
     @property
     def nested(self) -> Nested:

@@ -87,7 +87,7 @@ class InsideTest:
         """Test points of shape S + (3,); the result has shape (N,)."""
         points = points.reshape(-1, 3)
         if not self._uses_rays:
-            return inside_scene(self._triangles, points, progress)
+            return inside_scene(self._tracer.structure, points, progress)
         count = len(points)
         crossed, escapes = np.zeros(count, np.uint8), np.zeros(count, bool)
         # Two more parts: points in several solids, and doubtful ones.
@@ -105,11 +105,11 @@ class InsideTest:
         for rows, report in parts(len(even), _POINTS_AT_ONCE, of_even):
             some = even[rows]
             if self._triangles.kinds:
-                inside[some] = inside_scene(self._triangles, points[some], report)
+                inside[some] = inside_scene(self._tracer.structure, points[some], report)
             else:
                 inside[some] = self._net_exits(points[some], report) != 0
         doubtful = np.flatnonzero((crossed != 0) & (crossed != len(_DIRECTIONS)))
-        inside[doubtful] = inside_scene(self._triangles, points[doubtful], of_doubtful)
+        inside[doubtful] = inside_scene(self._tracer.structure, points[doubtful], of_doubtful)
         return inside
 
     def _net_exits(self, points: NDArray[Any], progress: Progress | None) -> NDArray[np.int64]:

@@ -309,7 +309,7 @@ class PointQueries(RayCaster):
         given, most = as_vectors("points", points), float(accuracy)
         if not most >= 0.0:
             raise ValueError(f"accuracy: expected a number >= 0, got {accuracy}")
-        numbers = scene_winding(self.structure.triangles, given.reshape(-1, 3), progress, most)
+        numbers = scene_winding(self.structure, given.reshape(-1, 3), progress, most)
         return numbers.reshape(given.shape[:-1])
 
     def _nearest(

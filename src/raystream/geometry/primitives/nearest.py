@@ -57,7 +57,7 @@ _SPHERE, _FIELD = np.int32(8 * SPHERES_PER_BLOCK), np.int32(-1)
 _NUMBERS = np.uint64(4 * 8 * SPHERES_PER_BLOCK)
 
 
-class _Spheres(NamedTuple):
+class SphereTree(NamedTuple):
     """The spheres' tree, by the names that walks read, and the scene's frame."""
 
     nodes: np.uint64
@@ -70,7 +70,7 @@ class _Spheres(NamedTuple):
 
 
 @device
-def _sphere_gap(point, sphere, frame):
+def sphere_gap(point, sphere, frame):
     """The vector from a sphere's centre to a point, its length, and the radius; local frame."""
     center, scale = frame.center, frame.scale
     x = point[0] - (sphere[0] - center[0]) * scale
@@ -81,7 +81,7 @@ def _sphere_gap(point, sphere, frame):
 
 @device
 def _sphere_squared(point, sphere, frame):
-    _, length, radius = _sphere_gap(point, sphere, frame)
+    _, length, radius = sphere_gap(point, sphere, frame)
     return (length - radius) * (length - radius)
 
 
@@ -115,7 +115,7 @@ def _sphere_at(row):
 @device
 def _sphere_foot(point, sphere, frame):
     """The nearest point of a sphere; of its centre, the top: that in direction z."""
-    (x, y, z), length, radius = _sphere_gap(point, sphere, frame)
+    (x, y, z), length, radius = sphere_gap(point, sphere, frame)
     u, v = octahedral(x, y, z)
     if length == ZERO_F64:
         x, y, z, length = ZERO_F64, ZERO_F64, ONE_F64, ONE_F64
@@ -193,7 +193,7 @@ def _find_in_trees(held, frame, query, search, stack):
         field = FieldRecord(held.fields, k)
         key = float_as_bits(ZERO_F32)
         search = _walk_field(field, (False, False), key, line, search, stack + _TREE)
-    tree = _Spheres(held.sphere_nodes, held.sphere_blocks, frame.center, frame.scale)
+    tree = SphereTree(held.sphere_nodes, held.sphere_blocks, frame.center, frame.scale)
     return _walk_spheres(tree, line, search, stack, False)
 
 
