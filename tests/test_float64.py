@@ -425,7 +425,7 @@ def test_what_is_not_supported_is_named(options, message):
 def test_queries_that_are_not_supported_are_named(tmp_path):
     tracer = rs.Tracer(rs.load("cornell"), precision="float64")
     for call in (
-        lambda: tracer.closest_point([0.0, 0.0, 0.0]),
+        lambda: rs.view_factors(tracer, rays=64),
         lambda: tracer.save(tmp_path / "structure.npz"),
     ):
         with pytest.raises(rs.RaystreamError, match="not supported with precision='float64'"):

@@ -589,9 +589,7 @@ def test_what_is_not_supported_says_so() -> None:
     tracer = rs.Tracer(scene)
     for ask in (
         lambda: tracer.save("instances.npz"),
-        lambda: tracer.closest_point([0.0, 0, 5]),
-        lambda: tracer.contains([0.0, 0, 5]),
-        lambda: tracer.winding_number([0.0, 0, 5]),
+        lambda: rs.view_factors(tracer, rays=64),
     ):
         with pytest.raises(rs.RaystreamError, match=r"scene.flattened\(\)"):
             ask()

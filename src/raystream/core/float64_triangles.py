@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.solid_parts import SolidPart
 from raystream.core.spawn import side_of, size_of
 from raystream.core.triangles import (
     Triangles,
@@ -101,6 +103,19 @@ class Float64Triangles(Triangles):
         """See `Store.planes_at`: corners are in world space."""
         normals, sizes = super().planes_at(hits)
         return normals, sizes * self.scale
+
+    @cached_property
+    def exact(self) -> Triangles:
+        """The same triangles with corners in float64, local frame."""
+        corners: Any = self.to_local(self.vertices[self.faces], np.float64)
+        solid = np.zeros(len(self), np.bool_)
+        solid[self.prim_ids] = True
+        frame = self.mesh_splits, self.center, self.scale
+        return Triangles.from_solid(corners, *frame, solid, self.nonfinite_count, self.bounds)
+
+    def solid_parts(self) -> list[SolidPart]:
+        """The triangles in float64; see `Store`."""
+        return [SolidPart(self.exact)]
 
     def corners_at(
         self,

@@ -11,8 +11,12 @@ from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
 from raystream.core.instances import Instances
+from raystream.core.solid_parts import SolidPart
 from raystream.core.store import Store
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
+
+#: Boxes of closed objects are grown by this much of their size: more than points round.
+_BOX_GROWTH = 2.0**-20
 
 
 class InstancedTriangles(Store):
@@ -258,6 +262,19 @@ class InstancedTriangles(Store):
         numbers = np.concatenate(parts)
         numbers.sort()
         return numbers
+
+    def solid_parts(self) -> list[SolidPart]:
+        """The object of each instance; see `Store`."""
+        firsts = np.searchsorted(self.mesh_splits, self.first_prims[:-1], side="right") - 1
+        low, high, is_empty = self.boxes(_BOX_GROWTH)
+        ids, inverses = self.instances.object_ids.tolist(), self.instances.inverses
+        return [
+            SolidPart(self.objects[k], int(firsts[k]), inverse, np.array([below, above]))
+            for k, inverse, below, above, hidden in zip(
+                ids, inverses, low, high, is_empty, strict=True
+            )
+            if not hidden
+        ]
 
     # Geometry of hits, each in the frame of its object.
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
 from raystream.core.height_field import HeightField, LocalField
+from raystream.core.solid_parts import SolidPart
 from raystream.core.spheres import Spheres, directions_at
 from raystream.core.store import Store
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
@@ -197,6 +198,20 @@ class Primitives(Store):
         if not len(self.spheres):
             return numbers, None
         return np.where(numbers < first, numbers, first + ((numbers - first) >> 1)), None
+
+    @cached_property
+    def _field_parts(self) -> list[SolidPart]:
+        parts, first_mesh = [], len(self.triangles.mesh_splits) - 1
+        for k, (field, local) in enumerate(zip(self.fields, self.local_fields, strict=True)):
+            corners = field.corners_of(np.arange(len(field)), local).astype(np.float32)
+            splits = np.array([0, len(field)], np.int64)
+            part = Triangles.from_local(corners, splits, self.center, self.scale)
+            parts.append(SolidPart(part, first_mesh + k, open_kind="a height field"))
+        return parts
+
+    def solid_parts(self) -> list[SolidPart]:
+        """The triangles of the meshes and those of each height field; see `Store`."""
+        return [SolidPart(self.triangles), *self._field_parts]
 
     # Geometry of hits. Spheres have no corners: NaN. On them, u and v are where the hit is, see
     # `core.spheres.directions_at`, and normals point away from the centre.

@@ -109,9 +109,15 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         ),
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
         "view_factors": Feature((), "`view_factors`", _PATCHES),
-        "closest points": Feature((), "`closest_point`, `signed_distance`", _NEAREST),
-        "inside tests": Feature((), "`contains`", _TRIANGLES),
-        "winding numbers": Feature((), "`winding_number`", _TRIANGLES),
+        "closest points with device='cpu'": Feature(
+            _ONE_WORLD, '`closest_point`, `signed_distance`, with ``device="cpu"``'
+        ),
+        "inside tests": Feature(
+            _ONE_WORLD,
+            "`contains`",
+            notes={"fields": '``method="winding"``: they are open surfaces'},
+        ),
+        "winding numbers": Feature(_ONE_WORLD, "`winding_number`"),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
         "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
         "raystream.torch": Feature((), "`raystream.torch`", _TRIANGLES),

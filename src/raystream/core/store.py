@@ -13,6 +13,7 @@ from raystream.core.attributes import Attributes
 from raystream.core.instances import Instances
 from raystream.core.masks import ALL_BITS, MaskRuns
 from raystream.core.scene_kinds import check_support
+from raystream.core.solid_parts import SolidPart
 from raystream.core.spawn import plane_offset, side_of, size_of
 
 if TYPE_CHECKING:
@@ -137,6 +138,11 @@ class Store:
         firsts, known = self.mesh_splits[:-1], self.attributes
         masks = np.full(len(firsts), ALL_BITS, np.uint32) if known is None else known.masks
         return firsts, masks
+
+    # Solids.
+
+    #: The triangles as parts, each in one frame.
+    solid_parts: Callable[[], list[SolidPart]]
 
     # Frames.
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.solid_parts import SolidPart
 from raystream.core.store import Store
 
 #: Coordinates beyond this count as non-finite: products of three would leave float64.
@@ -217,6 +218,10 @@ class Triangles(Store):
             "center": self.center,
             "scale": np.array(self.scale),
         }
+
+    def solid_parts(self) -> list[SolidPart]:
+        """The triangles themselves; see `Store`."""
+        return [SolidPart(self)]
 
     def object_corners(self) -> NDArray[np.float32]:
         """`corners`; of `InstancedTriangles`, those of all objects."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.jit.views import view
-from raystream.kernels.point_triangle import triangle_features
+from raystream.kernels.point_triangle import foot_of, triangle_features
 
 #: A triangle that was found: its squared distance, prim_id, and where its corners are: address
 #: of the first number, and bytes from a number to the next.
@@ -122,29 +123,79 @@ def corners_at(place, stride):
 def offer_triangle(search, point, prim_id, place, stride):
     """Offer a triangle, see `ROW`, to the search of a point; returns the search."""
     a, b, c = corners_at(place, stride)
-    squared = triangle_features(point, a, b, c).squared
+    return offer_squared(search, triangle_features(point, a, b, c).squared, prim_id, place, stride)
+
+
+@device
+def offer_squared(search, squared, prim_id, place, stride):
+    """Offer a primitive at a squared distance, see `ROW`; returns the search."""
     if is_wanted(search, squared, prim_id):
         search = offer_nearest(search, squared, prim_id, place, stride)
     return search
 
 
+class RowShape(NamedTuple):
+    """What the primitives of rows are: how far a point is from them.
+
+    Attributes
+    ----------
+    measure : device function
+        ``measure(view, frame, point, row)``: the squared distance of a `NearestRow`, with the bits
+        that the search had.
+    foot : device function
+        ``foot(view, frame, point, row)``: the nearest point, a `point_triangle.Foot`.
+    """
+
+    measure: Callable[..., Any]
+    foot: Callable[..., Any]
+
+
+def triangle_rows(corners: Callable[..., Any]) -> RowShape:
+    """The shape of triangles; ``corners(view, frame, row)`` are three triples of float64."""
+
+    @device
+    def measure(view, frame, point, row):
+        a, b, c = corners(view, frame, row)
+        return triangle_features(point, a, b, c).squared
+
+    @device
+    def foot(view, frame, point, row):
+        a, b, c = corners(view, frame, row)
+        return foot_of(triangle_features(point, a, b, c), a, b, c)
+
+    return RowShape(measure, foot)
+
+
 @device
-def offer_again(search, point, others, count):
-    """Offer the triangles of rows that another search found: a good limit from the start.
+def _corners(view, frame, row):
+    return corners_at(row.place, row.stride)
+
+
+#: Triangles in float32, local frame.
+TRIANGLES = triangle_rows(_corners)
+
+
+def offer_again(measure: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the function that offers what another search found: a good limit from the start.
 
     Parameters
     ----------
-    search : NearestSearch
-    point : triple of float64
-    others : uint64
-        Address of the rows, not the search's own.
-    count : uint64
+    measure : device function
+        See `RowShape`.
 
     Returns
     -------
-    NearestSearch
+    device function
+        ``offer(search, view, frame, point, others, count) -> search``. `others` is the address of
+        `count` rows, not the search's own.
     """
-    for k in range(count):
-        row = NearestRow(others, k)
-        search = offer_triangle(search, point, row.prim_id, row.place, row.stride)
-    return search
+
+    @device
+    def offer(search, view, frame, point, others, count):
+        for k in range(count):
+            row = NearestRow(others, k)
+            squared = measure(view, frame, point, row)
+            search = offer_squared(search, squared, row.prim_id, row.place, row.stride)
+        return search
+
+    return offer

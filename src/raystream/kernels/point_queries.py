@@ -14,19 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import INVALID, VALID
-from raystream.jit.constants import ONE_U64, ZERO_F32, ZERO_U64
+from raystream.jit.constants import ONE_U64, ZERO_F32, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, prefetch, store
 from raystream.jit.threads import thread_count
 from raystream.kernels.nearest import (
     ROW,
+    TRIANGLES,
     NearestRow,
+    RowShape,
     begin_nearest,
-    corners_at,
     offer_again,
 )
 from raystream.kernels.point_order import PointOrder, begin_order, load_point, order_bytes, point_at
-from raystream.kernels.point_triangle import foot_of, triangle_features
 from raystream.kernels.ray import (
     MOST_COORDINATE,
     SceneFrame,
@@ -65,6 +65,9 @@ _AHEAD = np.uint64(2)
 #: The squared limit is larger than the square of the limit by more than the rounding; whether a
 #: triangle lies within is decided by its distance.
 _SLACK, _TINY = 1.0 + 2.0**-48, 2.0**-1000
+
+#: More than the rounding of a sum, in units of a term: the other's is within that of distances.
+_SUM_ROUNDING = 2.0**-52
 
 
 class PointBatch(NamedTuple):
@@ -169,16 +172,21 @@ class PointSearch(NamedTuple):
     Attributes
     ----------
     find : device function
-        ``find(view, frame, point, search, stack)`` offers the triangles of `view`, the structure's
-        `arrays`, that may be among those nearest to `point`, a triple of float64 in the local
-        frame, to the search (`kernels.nearest`), and returns it. The search may have found some of
-        them before.
+        ``find(view, frame, query, search, stack)`` offers the triangles of `view`, the structure's
+        `arrays`, that may be among those nearest to a `PointQuery` to the search
+        (`kernels.nearest`), and returns it. The search may have found some of them before.
     stack_bytes : int
         Size of the memory at the address `stack`, which is aligned to 64 bytes.
+    shape : RowShape
+        Of what it finds.
+    in_world : bool
+        Whether shapes are in world space, in units of the local frame, rather than in that frame.
     """
 
     find: Callable[..., Any]
     stack_bytes: int
+    shape: RowShape = TRIANGLES
+    in_world: bool = False
 
 
 class PointQuery(NamedTuple):
@@ -187,9 +195,13 @@ class PointQuery(NamedTuple):
     Attributes
     ----------
     point : triple of float64
-        In the local frame.
+        In the frame of the shapes, see `PointSearch`.
     moved : triple of float64
         The point to search for; see `_NEAREST_FAR`.
+    local : triple of float64
+        The same in the local frame, that of the boxes.
+    slack : float64
+        By how much that differs from `moved`.
     is_moved : bool
         Whether it is another one.
     limit : float64
@@ -200,6 +212,8 @@ class PointQuery(NamedTuple):
 
     point: tuple[float, float, float]
     moved: tuple[float, float, float]
+    local: tuple[float, float, float]
+    slack: float
     is_moved: bool
     limit: float
     status: np.uint8
@@ -232,6 +246,9 @@ def _to_local(point, frame):
 #: ``_load_local(points, i, frame)``: point i, and its status.
 _load_local = loader(load_point, _to_local)
 
+#: ``_load_scaled(points, i, scale)``: point i of world space, in local units.
+_load_scaled = loader(load_point, scaled)
+
 
 @device
 def _moved(point, frame):
@@ -254,7 +271,20 @@ def _read_point(scene, i):
     limit = load(np.float64, scene.limits + i * scene.limit_step)
     point, status = _load_local(scene.points, i, scene.frame)
     moved, is_moved = _moved(point, scene.frame)
-    return PointQuery(point, moved, is_moved, limit, status)
+    return PointQuery(point, moved, moved, ZERO_F64, is_moved, limit, status)
+
+
+@device
+def _in_world(query, points, i, frame):
+    """The query of point i for shapes in world space."""
+    point, moved = _load_scaled(points, i, frame.scale), query.moved
+    center, slack, is_moved = scaled(frame.center, frame.scale), ZERO_F64, query.is_moved
+    if is_moved:
+        moved = moved[0] + center[0], moved[1] + center[1], moved[2] + center[2]
+        slack = _SUM_ROUNDING * largest(center)
+    else:
+        moved = point
+    return PointQuery(point, moved, query.local, slack, is_moved, query.limit, query.status)
 
 
 @device
@@ -283,26 +313,27 @@ def _write_missing(out, row):
 
 
 @device
-def _write_found(out, row, found, query, least, frame):
+def _write_found(out, row, prim_id, foot, query, least, frame, center):
     """Write the triangle of a row, if it is within the limit.
 
     Parameters
     ----------
     out : NearestArrays
     row : uint64
-    found : NearestRow
+    prim_id : int32
+    foot : Foot
     query : PointQuery
     least : float64
         Distance of the row before.
     frame : SceneFrame
+    center : triple of float64
+        World position of the origin of the foot's frame.
 
     Returns
     -------
     float64
         The distance.
     """
-    a, b, c = corners_at(found.place, found.stride)
-    foot = foot_of(triangle_features(query.moved, a, b, c), a, b, c)
     distance = math.sqrt(foot.squared) * frame.inverse_scale
     if query.is_moved:
         distance = _length(query.point, (foot.x, foot.y, foot.z)) * frame.inverse_scale
@@ -311,37 +342,13 @@ def _write_found(out, row, found, query, least, frame):
         _write_missing(out, row)
         return np.inf
     position = (
-        foot.x * frame.inverse_scale + frame.center[0],
-        foot.y * frame.inverse_scale + frame.center[1],
-        foot.z * frame.inverse_scale + frame.center[2],
+        foot.x * frame.inverse_scale + center[0],
+        foot.y * frame.inverse_scale + center[1],
+        foot.z * frame.inverse_scale + center[2],
     )
     weights = np.float32(foot.u), np.float32(foot.v)
-    _write(out, row, distance, position, weights, found.prim_id)
+    _write(out, row, distance, position, weights, prim_id)
     return distance
-
-
-@device
-def _write_nearest(out, i, query, rows, found_count, capacity, frame):
-    """Write the answer of point i.
-
-    Parameters
-    ----------
-    out : NearestArrays
-    i : uint64
-    query : PointQuery
-    rows : uint64
-        Address of the rows that the search found.
-    found_count, capacity : uint64
-    frame : SceneFrame
-    """
-    store(out.status + i, query.status)
-    distance = 0.0
-    for k in range(capacity):
-        if k < found_count:
-            row, at = NearestRow(rows, k), i * capacity + k
-            distance = _write_found(out, at, row, query, distance, frame)
-        else:
-            _write_missing(out, i * capacity + k)
 
 
 @device
@@ -370,7 +377,24 @@ def nearest_answer(search: PointSearch) -> tuple[Callable[..., None], int]:
 
     The answer takes a `PointScene` and writes `NearestArrays`.
     """
-    find, stack_bytes = search
+    find, stack_bytes, shape, in_world = search
+    again, foot_of_row = offer_again(shape.measure), shape.foot
+
+    @device
+    def write_nearest(out, i, query, rows, found_count, scene):
+        """Write the answer of point i from the address of the rows that the search found."""
+        store(out.status + i, query.status)
+        distance, frame = 0.0, scene.frame
+        center = (0.0, 0.0, 0.0) if in_world else frame.center
+        for k in range(scene.capacity):
+            at = i * scene.capacity + k
+            if k < found_count:
+                row = NearestRow(rows, k)
+                foot = foot_of_row(scene.arrays, frame, query.moved, row)
+                prim_id = row.prim_id
+                distance = _write_found(out, at, prim_id, foot, query, distance, frame, center)
+            else:
+                _write_missing(out, at)
 
     @device
     def find_nearest(i, scene, out, memory):
@@ -380,14 +404,16 @@ def nearest_answer(search: PointSearch) -> tuple[Callable[..., None], int]:
         prefetch(scene.points + point_at(order, i + _AHEAD) * _VECTOR)
         number = point_at(order, i)
         query = _read_point(scene, number)
+        if in_world:
+            query = _in_world(query, scene.points, number, frame)
         rows, others, known = _rows_of(order, i, scene, memory)
         found = ZERO_U64
         if query.status == VALID:
             nearest = _begin_point(query, frame, rows, capacity)
-            nearest = offer_again(nearest, query.moved, others, known)
-            nearest = find(scene.arrays, frame, query.moved, nearest, memory + _STATE_BYTES)
+            nearest = again(nearest, scene.arrays, frame, query.moved, others, known)
+            nearest = find(scene.arrays, frame, query, nearest, memory + _STATE_BYTES)
             found = nearest.found_count
             _keep_rows(order, memory, found)
-        _write_nearest(out, number, query, rows, found, capacity, frame)
+        write_nearest(out, number, query, rows, found, scene)
 
     return find_nearest, int(_STATE_BYTES) + stack_bytes

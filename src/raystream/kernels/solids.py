@@ -105,7 +105,8 @@ def _unmatched(
 ) -> OpenEdges:
     corners = triangles.corners[prim_ids]
     # Numbers of positions: hashes, as sorting the positions themselves takes ten times as long.
-    bits = (corners + np.float32(0.0)).view(np.uint32).astype(np.uint64)  # -0 becomes 0
+    zero, kind = corners.dtype.type(0.0), f"u{corners.itemsize}"
+    bits = (corners + zero).view(kind).astype(np.uint64)  # -0 becomes 0
     ids = bits[:, :, 0] * _STEP
     for axis in (1, 2):
         ids = ((ids ^ (ids >> np.uint64(29))) + bits[:, :, axis]) * _FIRST

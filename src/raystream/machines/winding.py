@@ -48,7 +48,7 @@ def winding_of(
     accuracy: float = 0.0,
 ) -> NDArray[np.float64]:
     """Winding numbers of points of shape (N, 3), world space; NaN for invalid ones."""
-    is_valid = _are_valid(points)
+    is_valid = are_valid(points)
     numbers = np.full(len(points), np.nan)
     most = min((accuracy * _CUBE) ** (1.0 / 3.0), _OPENINGS[0])
     openings = (most, 0.5 * most) if most >= _LEAST_OPENING else ()
@@ -63,14 +63,15 @@ def inside_by_winding(
 
     Decided by the exact sum wherever the tree's bounds leave a doubt.
     """
-    is_valid = _are_valid(points)
+    is_valid = are_valid(points)
     inside = np.zeros(len(points), bool)
     numbers = _numbers(triangles, points[is_valid], _OPENINGS, None, progress)
     inside[is_valid] = np.abs(numbers) > 0.5
     return inside
 
 
-def _are_valid(points: NDArray[np.generic]) -> NDArray[np.bool_]:
+def are_valid(points: NDArray[np.generic]) -> NDArray[np.bool_]:
+    """Which points of shape (N, 3) have finite coordinates that are not too large."""
     with np.errstate(invalid="ignore", over="ignore"):
         valid: NDArray[np.bool_] = (np.abs(points) <= MOST_COORDINATE).all(axis=-1)
     return valid

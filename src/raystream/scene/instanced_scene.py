@@ -90,8 +90,8 @@ class InstancedScene:
         direction is longer than 2**500 or shorter than 2**-500 is INVALID.
 
         ``structure="bvh"`` and ``"brute"`` trace and render such scenes on the CPU, CUDA and, with
-        its machine ``"compute"``, ``device="graphics"``. For closest points, view factors and
-        other machines, use `flattened` to make a plain scene.
+        its machine ``"compute"``, ``device="graphics"``. For view factors and other machines,
+        use `flattened` to make a plain scene.
 
         Examples
         --------

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 from weakref import WeakValueDictionary
 
+import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
@@ -21,8 +22,8 @@ from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.kernels.queries import RayQueries, RaySearches, ray_queries, searches
 from raystream.kernels.ray import SceneFrame
-from raystream.structures.batch_kernels import BatchKernels
-from raystream.structures.registry import StructureOptions
+from raystream.structures.batch_kernels import BatchKernels, Calls
+from raystream.structures.registry import StructureOptions, form_of
 from raystream.structures.single_kernels import RAYS_PER_CALL, with_single
 
 #: Triangle tests per call: about 50 ms, or 0.2 s at worst in a grid. (With a quarter of it, calls
@@ -167,6 +168,25 @@ class Structure(ABC):
     ) -> NamedTuple:
         """The view for a query that the branching machine answers ray by ray."""
         return self.view
+
+    @property
+    def point_loop(self) -> Callable[..., None] | None:
+        """Its loop over points, see `kernels.point_queries.nearest_answer`; None without one."""
+        found: Callable[..., None] | None = form_of(self.name, "nearest")
+        return found
+
+    @property
+    def point_view(self) -> Any:
+        """What that loop reads as `view`."""
+        return self.view
+
+    def around_calls(
+        self,
+        points: NDArray[np.float64],
+        numbers: NDArray[np.float64],
+    ) -> Calls | None:
+        """The calls that add what is not triangles to winding numbers of world points, if any."""
+        return None
 
     @property
     def nested(self) -> Nested:

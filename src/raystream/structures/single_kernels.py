@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from raystream.structures.batch_kernels import (
     Calls,
     CallSize,
 )
-from raystream.structures.registry import form_of
 
 if TYPE_CHECKING:
     from raystream.structures.base import Structure
@@ -93,9 +92,10 @@ def nearest_calls(
 ) -> tuple[Calls, CallSize]:
     """The calls that find the triangles nearest to points, and their size."""
     points, limits, capacity = batch
-    kernel, to = form_of(structure.name, "nearest"), NearestArrays(*array_places(*out))
+    kernel: Any = structure.point_loop
+    to = NearestArrays(*array_places(*out))
     at, far = array_places(points, limits)
-    step, own = step_of(limits), (structure.frame, structure.view)
+    step, own = step_of(limits), (structure.frame, structure.point_view)
     scene = PointScene(at, far, step, *own, np.uint64(capacity), NULL, None)
     per_call = structure.rays_per_call
     # Fewer than the default: the structure is slow, and a point takes longer than a ray.

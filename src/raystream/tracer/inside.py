@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.core.scene_kinds import check_support
+from raystream.core.solid_parts import SolidPart
 from raystream.jit.threads import Progress, parts
 from raystream.kernels.crossing_sides import net_exits
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.kernels.solids import open_edges, solids_of
 from raystream.machines.batch import run_calls
-from raystream.machines.winding import inside_by_winding
+from raystream.machines.scene_winding import inside_scene
 from raystream.structures.batch_kernels import CallSize
 
 #: Directions of the three rays: in no plane that people's models are likely to have.
@@ -53,16 +54,19 @@ class InsideTest:
         self._tracer = tracer
         self._triangles = tracer.structure.triangles
         self._uses_rays = method == "rays"
-        if self._uses_rays and not solids_of(self._triangles).is_closed_together:
-            raise ValueError(
-                f"method='rays' cannot tell inside from outside: {self._open_meshes()}; "
-                "use method='winding'"
-            )
+        for part in self._triangles.solid_parts() if self._uses_rays else ():
+            if part.open_kind or not solids_of(part.triangles).is_closed_together:
+                raise ValueError(
+                    f"method='rays' cannot tell inside from outside: {self._open_meshes(part)}; "
+                    "use method='winding'"
+                )
 
-    def _open_meshes(self) -> str:
+    def _open_meshes(self, part: SolidPart) -> str:
         """Name the meshes that are not closed and their open edges, some of them if many."""
-        found = open_edges(self._triangles)
-        open_ids = found.mesh_ids
+        if part.open_kind:
+            return f"{part.open_kind} is an open surface"
+        found = open_edges(part.triangles)
+        open_ids = found.mesh_ids + part.first_mesh
         names = [self._tracer.scene.meshes[i].name for i in open_ids[:_MOST_NAMED]]
         shown = [
             f"{i} ({name!r:.40})" if name else str(i)
@@ -83,7 +87,7 @@ class InsideTest:
         """Test points of shape S + (3,); the result has shape (N,)."""
         points = points.reshape(-1, 3)
         if not self._uses_rays:
-            return inside_by_winding(self._triangles, points, progress)
+            return inside_scene(self._tracer.structure, points, progress)
         count = len(points)
         crossed, escapes = np.zeros(count, np.uint8), np.zeros(count, bool)
         # Two more parts: points in several solids, and doubtful ones.
@@ -100,9 +104,12 @@ class InsideTest:
         even = np.flatnonzero((crossed == 0) & ~escapes)
         for rows, report in parts(len(even), _POINTS_AT_ONCE, of_even):
             some = even[rows]
-            inside[some] = self._net_exits(points[some], report) != 0
+            if self._triangles.kinds:
+                inside[some] = inside_scene(self._tracer.structure, points[some], report)
+            else:
+                inside[some] = self._net_exits(points[some], report) != 0
         doubtful = np.flatnonzero((crossed != 0) & (crossed != len(_DIRECTIONS)))
-        inside[doubtful] = inside_by_winding(self._triangles, points[doubtful], of_doubtful)
+        inside[doubtful] = inside_scene(self._tracer.structure, points[doubtful], of_doubtful)
         return inside
 
     def _net_exits(self, points: NDArray[Any], progress: Progress | None) -> NDArray[np.int64]:

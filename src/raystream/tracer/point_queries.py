@@ -14,7 +14,7 @@ from raystream.core.rays import as_real_array, as_vectors, broadcast
 from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.point_queries import NearestArrays, PointBatch, answer_bytes
-from raystream.machines.winding import winding_of
+from raystream.machines.scene_winding import scene_winding
 from raystream.structures.registry import names_with
 from raystream.tracer.inside import InsideTest
 from raystream.tracer.memory_needed import CHECKED_RAYS
@@ -27,7 +27,7 @@ class PointQueries(RayCaster):
     def closest_point(
         self, points: Any, *, max_distance: Any = np.inf, progress: Progress | None = None
     ) -> ClosestPoints:
-        """Find the nearest point on the scene's triangles for each point.
+        """Find the nearest point on the scene's surfaces for each point.
 
         Parameters
         ----------
@@ -51,6 +51,9 @@ class PointQueries(RayCaster):
             If a shape does not fit, `max_distance` is negative or NaN, or the tracer's structure,
             device or machine does not support the query: ``structure="bvh"`` and ``"brute"`` on
             the branching machines of ``device="cpu"`` and ``"cuda"`` do.
+        RaystreamError
+            If the scene has instances in worlds; or, with ``device="cuda"``, any instances,
+            spheres or height fields, or ``precision="float64"``.
         TypeError
             If an array does not hold real numbers.
         MemoryError
@@ -66,9 +69,18 @@ class PointQueries(RayCaster):
         and those with a NaN or infinite vertex, are ignored, as they are by rays: the nearest
         point is never on them.
 
+        A sphere's distance is that of its surface, also from within; of all points of a sphere,
+        the one nearest to its centre is the one above it, along z. The distance from an instance
+        is that in world space, under any transform: of triangles whose vertices are moved there
+        in float64. With ``precision="float64"`` vertices are not rounded, and triangles without
+        area count as the segments they are. The error of all these is below 2**-48 of the sum of
+        the distance, the triangle's or the sphere's size and, of spheres and instances, the
+        largest coordinate [2]_. Equal distances from instances are ordered by instance_id first.
+
         References
         ----------
         .. [1] ``docs/decisions/0049-closest-point.rst``.
+        .. [2] ``docs/decisions/0079-points-among-kinds.rst``.
 
         Examples
         --------
@@ -202,7 +214,9 @@ class PointQueries(RayCaster):
         ValueError
             If a shape does not fit; if `method` is unknown; or if it is ``"rays"``, and the scene's
             surface is not closed, with the open meshes and the first of their open edges: then the
-            parity of crossings means nothing.
+            parity of crossings means nothing. A height field is an open surface.
+        RaystreamError
+            If the scene has instances in worlds.
         TypeError
             If the points are not real numbers.
 
@@ -212,6 +226,9 @@ class PointQueries(RayCaster):
         together, and it is closed if its triangles traverse each edge as often in one direction as
         in the other; vertices with equal coordinates are one. Triangles without area count if they
         are needed to close it, as those of a file whose edges are split on one side only.
+
+        Spheres are closed: inside is what is within the radius. Each object of instances has to be
+        closed by itself.
 
         A point within several closed meshes, or overlapping parts of one, is inside. A mesh
         that faces inward within one that faces outward is a cavity. Both methods find points whose
@@ -259,6 +276,8 @@ class PointQueries(RayCaster):
         ValueError, TypeError
             If the points are not real numbers of shape S + (3,), or `accuracy` is not a number of
             at least 0.
+        RaystreamError
+            If the scene has instances in worlds.
 
         Notes
         -----
@@ -268,6 +287,9 @@ class PointQueries(RayCaster):
         error bound: the bounds of all groups together are below `accuracy`; otherwise the exact
         sum is computed. `contains` does this automatically, with the same results as with exact
         sums.
+
+        Each sphere around a point adds 1, and 1/2 where the point is on it. Instances add the
+        numbers of their objects, also where they mirror: their fronts stay in front.
 
         References
         ----------
@@ -287,7 +309,7 @@ class PointQueries(RayCaster):
         given, most = as_vectors("points", points), float(accuracy)
         if not most >= 0.0:
             raise ValueError(f"accuracy: expected a number >= 0, got {accuracy}")
-        numbers = winding_of(self.structure.triangles, given.reshape(-1, 3), progress, most)
+        numbers = scene_winding(self.structure, given.reshape(-1, 3), progress, most)
         return numbers.reshape(given.shape[:-1])
 
     def _nearest(
@@ -307,18 +329,21 @@ class PointQueries(RayCaster):
         out = NearestArrays.empty(count, capacity)
         self._backend.find_nearest(PointBatch(local, limits, capacity), out, progress)
         wide = shape if k is None else (*shape, k)
+        prim_id, instance_id = self.structure.triangles.split_ids(out.prim_id.reshape(wide))
         return ClosestPoints(
             out.distance.reshape(wide),
             out.positions.reshape(*wide, 3),
             (out.u.reshape(wide), out.v.reshape(wide)),
-            out.prim_id.reshape(wide),
+            (prim_id, instance_id),
             out.status.reshape(shape),
             self.structure.triangles,
         )
 
     def _check_points(self) -> None:
         """Check that the structure and the backend find closest points."""
-        check_support("closest points", self.structure.triangles)
+        # Other kinds of scene than triangles in float32 have loops for the CPU alone.
+        feature = f"closest points with device={self.device!r}"
+        check_support(feature, self.structure.triangles)
         known = names_with("nearest")
         if self.structure.name not in known or not self._backend.capabilities.points:
             names = " or ".join(f"structure={name!r}" for name in known)

@@ -30,7 +30,7 @@ def _visit_leaf(tree, link, line, search, _stack):
     at = tree.leaves + np.uint64(~link) * TRIANGLE
     while True:
         prim_id = load(np.int32, at + TRIANGLE_ID)
-        search = offer_triangle(search, line.point, prim_id, at, _STRIDE)
+        search = offer_triangle(search, line.moved, prim_id, at, _STRIDE)
         if is_last(at):
             return search, False
         at += TRIANGLE
@@ -40,8 +40,8 @@ _walk = binary_walk(interval, _enter, one_tree(_visit_leaf), has_distances=True)
 
 
 @device
-def _find(tree, frame, point, search, stack):
-    return _walk(tree, line_of(point, frame), search, stack)
+def _find(tree, frame, query, search, stack):
+    return _walk(tree, line_of(query, frame), search, stack)
 
 
 #: The search of a point by a thread of a GPU.

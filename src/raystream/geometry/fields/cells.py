@@ -319,7 +319,33 @@ def _search_row(field, place, ray, line, search, block):
     return search
 
 
-# For packets of rays
+# For packets of rays, and for points
+
+
+@device
+def corners_of_number(field, number):
+    """The corners of a field's triangle, as `_write_triangles` has them: triples of float64."""
+    own = np.uint64(np.int32(number - field.first_id))
+    cell, is_upper = own >> _ONE, own & _ONE == _NONE
+    row, column = cell // field.columns, cell % field.columns
+    x, y = field.x + (column << _TWO), field.y + (row << _TWO)
+    top = field.heights + ((row * field.width + column) << _TWO)
+    bottom = top + (field.width << _TWO)
+    a = _place(x, y, top)
+    c = _place(x + _FOUR, y + _FOUR, bottom + _FOUR)
+    other = _place(x + _FOUR, y, top + _FOUR) if is_upper else _place(x, y + _FOUR, bottom)
+    if (field.turns == _TURNED) == is_upper:
+        return a, c, other
+    return a, other, c
+
+
+@device
+def _place(x, y, z):
+    return (
+        np.float64(load(np.float32, x)),
+        np.float64(load(np.float32, y)),
+        np.float64(load(np.float32, z)),
+    )
 
 
 @device

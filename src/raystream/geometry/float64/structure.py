@@ -11,6 +11,7 @@ from raystream.core.float64_triangles import Float64Triangles
 from raystream.core.scene_kinds import REFUSALS
 from raystream.geometry.float64.batches import BATCH_KERNELS
 from raystream.geometry.float64.block import BLOCK_NUMBERS
+from raystream.geometry.float64.nearest import find_among_all, find_in_tree
 from raystream.geometry.float64.queries import MEMORY_BYTES, float64_searches
 from raystream.geometry.float64.ray import LEAST
 from raystream.geometry.float64.ray_batch import Float64Rays
@@ -70,6 +71,7 @@ class Float64Bvh(Float64Structure):
     """
 
     traverse = staticmethod(tree_blocks)
+    point_loop = staticmethod(find_in_tree)  # type: ignore[assignment]
     many_ray_kernels = BATCH_KERNELS
 
     def __init__(
@@ -109,6 +111,7 @@ class Float64Brute(Float64Structure):
     """
 
     traverse = staticmethod(all_blocks)
+    point_loop = staticmethod(find_among_all)  # type: ignore[assignment]
 
     def __init__(
         self, triangles: Float64Triangles, options: Brute, *, progress: Progress | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,13 @@ from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.geometry.instances.batches import BATCH_KERNELS
+from raystream.geometry.instances.nearest import (
+    PlacedInstances,
+    find_among_all,
+    find_in_trees,
+    placed_records,
+    placed_view,
+)
 from raystream.geometry.instances.records import (
     INSTANCE_BYTES,
     OBJECT_ADDRESSES,
@@ -143,6 +151,15 @@ class InstancedStructure(Structure):
             return self.view
         return self.view._replace(worlds=np.uint64(rays.worlds.ctypes.data))
 
+    @cached_property
+    def _placed(self) -> NDArray[np.void]:
+        return placed_records(self.triangles, self.objects, self.trees.order, self.frame.scale)
+
+    @property
+    def point_view(self) -> PlacedInstances:
+        """The instances for points, made once."""
+        return placed_view(self.trees.nodes, self._placed)
+
     def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
         """The same objects, with instances elsewhere."""
         moved = type(self)(triangles, self.objects, self.options)
@@ -175,6 +192,7 @@ class InstancedBvh(InstancedStructure):
 
     _kind = BvhStructure
     traverse = staticmethod(traverse_top)
+    point_loop = staticmethod(find_in_trees)  # type: ignore[assignment]
     stack_bytes = 2 * STACK_BYTES
     many_ray_kernels = BATCH_KERNELS
 
@@ -187,6 +205,7 @@ class InstancedBrute(InstancedStructure):
 
     _kind = BruteStructure
     traverse = staticmethod(traverse_all)
+    point_loop = staticmethod(find_among_all)  # type: ignore[assignment]
 
     @property
     def tests_per_ray(self) -> int:

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from raystream.core.primitives import Primitives
 from raystream.geometry.fields.levels import field_levels
+from raystream.geometry.primitives.around import count_around
 from raystream.geometry.primitives.batches import batch_kernels
+from raystream.geometry.primitives.nearest import find_among_all, find_in_trees
 from raystream.geometry.primitives.records import (
     FIELD_ADDRESSES,
     SPHERES_PER_BLOCK,
@@ -27,6 +29,7 @@ from raystream.geometry.primitives.traversal import (
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.base import BuildReport, Nested, Structure
+from raystream.structures.batch_kernels import Calls
 from raystream.structures.brute.structure import BruteStructure
 from raystream.structures.bvh.build import build_arrays, triangles_of_boxes
 from raystream.structures.bvh.structure import BvhStructure
@@ -110,6 +113,14 @@ class PrimitiveStructure(Structure):
         rows[:count] = np.arange(count)
         return np.zeros((0, 64), np.float32), rows.reshape(-1, leaf_size)
 
+    def around_calls(
+        self, points: NDArray[np.float64], numbers: NDArray[np.float64]
+    ) -> Calls | None:
+        """The calls that count spheres around points."""
+        if not len(self.triangles.spheres):
+            return None
+        return count_around, (points, self.view, self.frame, numbers)
+
     @property
     def nested(self) -> Nested:
         """The height fields' arrays, to which records point."""
@@ -135,6 +146,7 @@ class PrimitiveBvh(PrimitiveStructure):
 
     _kind = BvhStructure
     traverse = staticmethod(traverse_trees)
+    point_loop = staticmethod(find_in_trees)  # type: ignore[assignment]
     stack_bytes = STACK_BYTES
 
     def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
@@ -156,6 +168,7 @@ class PrimitiveBrute(PrimitiveStructure):
 
     _kind = BruteStructure
     traverse = staticmethod(traverse_all)
+    point_loop = staticmethod(find_among_all)  # type: ignore[assignment]
     stack_bytes = STACK_BYTES
 
     @property

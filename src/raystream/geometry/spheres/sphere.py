@@ -213,7 +213,12 @@ def place(x, y, z, step, exact):
     exact : ExactRay
     """
     dx, dy, dz = exact.direction
-    x, y, z = x + step * dx, y + step * dy, z + step * dz
+    return octahedral(x + step * dx, y + step * dy, z + step * dz)
+
+
+@device
+def octahedral(x, y, z):
+    """A direction from a sphere's centre as u and v; of no length, that to the top."""
     total = absolute(x) + absolute(y) + absolute(z)
     px, py = x / total, y / total
     # The lower half of the octahedron is folded over the sides of the upper one.

@@ -16,17 +16,17 @@ _STRIDE = np.int32(4)
 
 
 @device
-def _find(tree, frame, point, search, stack):
+def offer_all(tree, frame, query, search, stack):
     """Test every triangle; see `kernels.point_queries.PointSearch` for the arguments."""
     for k in range(tree.triangle_count):
         prim_id = load(np.int32, tree.references + (k << SHIFT_32))
         place = tree.corners + np.uint64(prim_id) * TRIANGLE_BYTES
-        search = offer_triangle(search, point, prim_id, place, _STRIDE)
+        search = offer_triangle(search, query.moved, prim_id, place, _STRIDE)
     return search
 
 
 #: The search of a point.
-POINT_SEARCH = PointSearch(_find, 8)
+POINT_SEARCH = PointSearch(offer_all, 8)
 
 #: The loop over points.
 find_nearest = loop_of(*nearest_answer(POINT_SEARCH))

@@ -8,11 +8,20 @@ that defines the distance, so the answers have the bits of brute force.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_F32, ZERO_F64, ZERO_U64
+from raystream.jit.constants import (
+    ONE_F64,
+    ONE_U64,
+    SHIFT_32,
+    SHIFT_64,
+    ZERO_F32,
+    ZERO_F64,
+    ZERO_U64,
+)
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -33,18 +42,18 @@ from raystream.jit.simd import (
 )
 from raystream.kernels.answers import loop_of
 from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
-from raystream.kernels.nearest import is_wanted, offer_nearest
+from raystream.kernels.nearest import offer_squared
 from raystream.kernels.point_queries import PointSearch, nearest_answer
 from raystream.kernels.point_triangle import triangle_features
 from raystream.structures.bvh.node_layout import Node
 from raystream.structures.bvh.steps import leaf_blocks
 from raystream.structures.bvh.walks.single import STACK_BYTES, tree_walk
 
-_STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
-_KEY_BITS = np.int32(~7)
+STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
+_KEY_BITS, _FIRST = np.int32(~7), np.int32(0)
 
 #: Below infinity, the distance of absent children.
-_MOST = np.float32(np.finfo(np.float32).max)
+_MOST, _MOST64 = np.float32(np.finfo(np.float32).max), np.float64(np.finfo(np.float64).max)
 
 #: Points further from the origin than this many times the scene's largest coordinate: in float32
 #: the rounding of the point would be too much of the differences between boxes.
@@ -100,11 +109,22 @@ def near_distance(box, line):
 def far_distance(box, line):
     """The same in float64, for points from afar."""
     low_x, high_x, low_y, high_y, low_z, high_z = box
-    x, y, z = line.point
-    x = _gap(widen(low_x), widen(high_x), x, x, ZERO_F64)
-    y = _gap(widen(low_y), widen(high_y), y, y, ZERO_F64)
-    z = _gap(widen(low_z), widen(high_z), z, z, ZERO_F64)
+    (x, y, z), slack = line.point, line.slack
+    x = _gap(widen(low_x), widen(high_x), x - slack, x + slack, ZERO_F64)
+    y = _gap(widen(low_y), widen(high_y), y - slack, y + slack, ZERO_F64)
+    z = _gap(widen(low_z), widen(high_z), z - slack, z + slack, ZERO_F64)
     return (x * x + y * y + z * z) * _SHRINK64
+
+
+@device
+def box_distances(box, line, search, far):
+    """Bounds of the squared distances of boxes, and which are within the limit."""
+    if line.is_far:
+        squared = far_distance(box, line)
+        limit = min(search.limit * line.unit, _MOST64)
+        return minimum(narrow(squared), _MOST), squared <= limit
+    distances = near_distance(box, line)
+    return distances, distances <= far
 
 
 @device
@@ -113,12 +133,7 @@ def _enter(node, line, search, _, far):
     planes = Node(node).planes
     box = planes[_LOW_X], planes[_HIGH_X], planes[_LOW_Y], planes[_HIGH_Y]
     box = *box, planes[_LOW_Z], planes[_HIGH_Z]
-    if line.is_far:
-        squared = far_distance(box, line)
-        distances, entered = minimum(narrow(squared), _MOST), squared <= search.limit
-    else:
-        distances = near_distance(box, line)
-        entered = distances <= far
+    distances, entered = box_distances(box, line, search, far)
     return (float_as_bits(distances) & _KEY_BITS) | lane_numbers(i32x8), entered
 
 
@@ -140,6 +155,13 @@ class PointLine(NamedTuple):
     Attributes
     ----------
     point : triple of float64
+        In the frame of the boxes.
+    moved : triple of float64
+        In that of the shapes; see `kernels.point_queries.PointSearch`.
+    slack : float64
+        By how much `point` may be wrong.
+    unit : float64
+        Squared distances of boxes are at most this times those of the shapes in them.
     below, above : triple of float32
         Numbers around its coordinates, by more than the rounding of triangles' distances.
     is_far : bool
@@ -147,27 +169,36 @@ class PointLine(NamedTuple):
     """
 
     point: tuple[float, float, float]
+    moved: tuple[float, float, float]
+    slack: float
+    unit: float
     below: tuple[np.float32, np.float32, np.float32]
     above: tuple[np.float32, np.float32, np.float32]
     is_far: bool
 
 
 @device
-def line_of(point, frame):
-    """A point of a scene as the tests of boxes take it."""
-    x, y, z = point
-    reach = np.float64(frame.max_coordinate)
-    is_far = max(max(abs(x), abs(y)), abs(z)) > _FAR * reach
-    grow = _GROW * reach
-    below = _below(x - grow), _below(y - grow), _below(z - grow)
-    above = _above(x + grow), _above(y + grow), _above(z + grow)
-    return PointLine(point, below, above, is_far)
+def line_of(query, frame):
+    """A `PointQuery` as the tests of boxes take it."""
+    return placed_line(query.local, query.moved, frame, query.slack, ONE_F64)
 
 
 @device
-def interval(_line, search):
+def placed_line(point, moved, frame, slack, unit):
+    """A point in a frame of boxes, and what else a `PointLine` has of it."""
+    x, y, z = point
+    reach = np.float64(frame.max_coordinate)
+    is_far = max(max(abs(x), abs(y)), abs(z)) > _FAR * reach
+    grow = _GROW * reach + slack
+    below = _below(x - grow), _below(y - grow), _below(z - grow)
+    above = _above(x + grow), _above(y + grow), _above(z + grow)
+    return PointLine(point, moved, slack, unit, below, above, is_far)
+
+
+@device
+def interval(line, search):
     """Distances of boxes up to the search's limit in float32, which is not below it."""
-    far = min(_above(search.limit), _MOST)
+    far = min(_above(search.limit * line.unit), _MOST)
     return ZERO_F32, far, far
 
 
@@ -178,11 +209,26 @@ def _corner(at):
 
 
 @device
-def _offer_block(block, point, search):
-    """Offer the triangles of a leaf block."""
+def offer_lanes(squared, block, search, rows, first=_FIRST):
+    """Offer four shapes of a block by their squared distances.
+
+    Parameters
+    ----------
+    squared : f64x4
+    block : uint64
+    search : NearestSearch
+    rows : tuple of uint64 or None, uint64, int32, uint64
+        Their place, or the power of two between their places, from `block`; where in the block
+        their numbers are; and the stride, see `kernels.nearest.ROW`.
+    first : int32
+        Added to their numbers.
+
+    Returns
+    -------
+    NearestSearch
+    """
+    place, shift, stride, ids = rows
     lanes = scratch(64)
-    a, b, c = _corner(block), _corner(block + SECOND), _corner(block + THIRD)
-    squared = triangle_features(point, a, b, c).squared
     bits = mask_bits(squared <= search.limit)
     if bits != ZERO_U64:
         store(lanes, squared)
@@ -190,28 +236,41 @@ def _offer_block(block, point, search):
             lane = count_trailing_zeros(bits)
             bits &= bits - ONE_U64
             of_lane = load(np.float64, lanes + (lane << SHIFT_64))
-            place = block + (lane << SHIFT_32)
-            prim_id = load(np.int32, place + PRIM_IDS)
-            if is_wanted(search, of_lane, prim_id):
-                search = offer_nearest(search, of_lane, prim_id, place, _STRIDE)
+            prim_id = np.int32(load(np.int32, block + ids + (lane << SHIFT_32)) + first)
+            at = block + (lane << shift) if place is None else place
+            search = offer_squared(search, of_lane, prim_id, at, stride)
     return search
+
+
+@device
+def block_squared(block, point):
+    """Squared distances of the triangles of a leaf block."""
+    a, b, c = _corner(block), _corner(block + SECOND), _corner(block + THIRD)
+    return triangle_features(point, a, b, c).squared
 
 
 @device
 def _visit_leaf(tree, child, line, search, _stack):
     block, end = leaf_blocks(tree, child)
     while block != end:
-        search = _offer_block(block, line.point, search)
+        squared = block_squared(block, line.moved)
+        search = offer_lanes(squared, block, search, (None, SHIFT_32, STRIDE, PRIM_IDS))
         block += BLOCK
     return search, False
 
 
-_walk = tree_walk(interval, _enter, _visit_leaf)
+def nearest_walk(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the walk of a point through a wide tree, for any leaf; see `tree_walk`."""
+    return tree_walk(interval, _enter, visit_leaf)
+
+
+#: The walk of a tree of triangles.
+walk_triangles = nearest_walk(_visit_leaf)
 
 
 @device
-def _find(tree, frame, point, search, stack):
-    return _walk(tree, line_of(point, frame), search, stack, False)
+def _find(tree, frame, query, search, stack):
+    return walk_triangles(tree, line_of(query, frame), search, stack, False)
 
 
 #: The loop over points.
