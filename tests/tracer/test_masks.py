@@ -15,7 +15,14 @@ from raystream.core.errors import RaystreamError
 from raystream.core.masks import ALL_BITS, MaskRuns
 
 COLUMNS = ("t", "u", "v", "prim_id", "instance_id")
-STRUCTURES = ("bvh", "kdtree", "grid", "graph", "brute")
+
+
+def _later(*names: str) -> list[Any]:
+    """Cases of the second tier: their kernels are compiled for them alone."""
+    return [pytest.param(name, marks=pytest.mark.ci) for name in names]
+
+
+STRUCTURES = ("bvh", "brute", *_later("kdtree", "grid", "graph"))
 KERNELS = ("packet", "groups", "wavefront", "single")
 MASKS = (1, 2, 4, 1 | 2, ALL_BITS)
 
@@ -116,7 +123,9 @@ def _placed(mask: int | None, worlds: bool) -> rs.Scene:
     return rs.Scene.instances(meshes, places, ids, masks=own if mask is None else None, **given)
 
 
-@pytest.mark.parametrize("kernel", [*KERNELS, "brute", "worlds"])
+@pytest.mark.parametrize(
+    "kernel", ["groups", "brute", *_later("packet", "wavefront", "single", "worlds")]
+)
 def test_instances(kernel: str) -> None:
     worlds = kernel == "worlds"
     options = {"kernel": kernel} if kernel in KERNELS else {}
@@ -154,7 +163,7 @@ def _combined(mask: int) -> rs.Scene:
     return rs.Scene.combine([_without(rs.Scene(_meshes()), mask), field, *spheres])
 
 
-@pytest.mark.parametrize("kernel", ["packet", "wavefront", "single", "brute"])
+@pytest.mark.parametrize("kernel", ["packet", *_later("wavefront", "single", "brute")])
 def test_spheres_and_height_fields(kernel: str) -> None:
     options = {} if kernel == "brute" else {"kernel": kernel}
     structure = "brute" if kernel == "brute" else "bvh"
