@@ -89,7 +89,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
                 "fields": "a scene of as many samples",
             },
         ),
-        "render": Feature(("instances", *_PRIMITIVES), "`render`", _SHADING),
+        "render": Feature(_ONE_WORLD, "`render`"),
         "materials that are not opaque": Feature(
             _PLACED, "`render`, with materials that are not opaque", _PROGRAM
         ),

@@ -10,14 +10,10 @@ from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
 from raystream.core.instances import Instances
-from raystream.core.scene_kinds import check_support
 from raystream.core.spawn import plane_offset, side_of, size_of
 
 if TYPE_CHECKING:
     from raystream.core.hits import HitColumns
-
-#: Names of `Triangles` that code asks other kinds for where it does not expect them.
-_OF_TRIANGLES = frozenset(("corners", "has_corners", "prim_ids", "release", "to_local"))
 
 
 class Store:
@@ -62,14 +58,6 @@ class Store:
     #: Corners of triangles by prim_id and instance_id, shape (..., 3, 3), float64, in the local
     #: frame; NaN for -1, and where there is no triangle.
     corners_at: Callable[[NDArray[np.int32], NDArray[np.int32]], NDArray[np.float64]]
-
-    if not TYPE_CHECKING:  # to type checkers, any name would exist
-
-        def __getattr__(self, name: str) -> Any:
-            # What is written for triangles alone meets another kind.
-            if name in _OF_TRIANGLES:
-                check_support(f"triangles.{name}", self)
-            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays that describe the geometry, by name: for files, and to recognise it."""
