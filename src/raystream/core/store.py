@@ -161,6 +161,11 @@ class Store:
         corners = self.corners_at(hits.prim_id, hits.instance_id)
         return self.normals_to_world(self.local_normals(hits), hits.instance_id), size_of(corners)
 
+    def local_corners(self, prim_ids: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+        """Corners of triangles in the local frame, shape (N, 3, 3), float64; NaN without any."""
+        ids = prim_ids.astype(np.int32)
+        return self.corners_at(ids, np.zeros_like(ids))
+
     def local_positions(self, hits: HitColumns) -> NDArray[np.float64]:
         """Points of hits, shape (..., 3), local frame; NaN for misses."""
         corners = self.corners_at(hits.prim_id, hits.instance_id)
