@@ -184,7 +184,7 @@ def _look_for_others(
         for begin in range(0, len(others), _BLOCK):
             faces = others[begin : begin + _BLOCK]
             prim_ids, instance_ids = triangles.ids_of(faces.astype(np.int32))
-            at = u, v
+            at: tuple[Any, Any] = (u, v)
             if triangles.has_primitives and not number:
                 at = _nearest_points(camera, size, triangles, prim_ids, at)
             centers = surface_points(tracer, prim_ids, *at, instance_ids)

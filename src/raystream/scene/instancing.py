@@ -41,6 +41,8 @@ class InstancedGeometry(Geometry):
     instances : Instances
     """
 
+    instances: Instances
+
     def __init__(
         self, meshes: Sequence[Mesh], mesh_counts: Sequence[int], instances: Instances
     ) -> None:
