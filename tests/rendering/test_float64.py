@@ -17,11 +17,3 @@ def test_images_are_those_of_float32(mode: str) -> None:
     )
     differs = np.abs(wide - near).max(axis=-1) > 1e-3 + 1e-2 * np.abs(near).max(axis=-1)
     assert np.count_nonzero(differs) <= 0.03 * differs.size
-
-
-def test_other_precisions_are_other_images(tmp_path) -> None:
-    scene = rs.load("cornell")
-    for precision in ("float32", "float64"):
-        tracer = rs.Tracer(scene, precision=precision)
-        context = {"size": (8, 8), "samples": 1}
-        assert rs.render(tracer, "raycast", **context).pixels.shape == (8, 8, 3)
