@@ -588,7 +588,6 @@ def test_what_is_not_supported_says_so() -> None:
             rs.Tracer(scene, **options)
     tracer = rs.Tracer(scene)
     for ask in (
-        lambda: tracer.save("instances.npz"),
         lambda: tracer.closest_point([0.0, 0, 5]),
         lambda: tracer.contains([0.0, 0, 5]),
         lambda: tracer.winding_number([0.0, 0, 5]),
