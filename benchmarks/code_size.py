@@ -5,9 +5,10 @@
 
 Prints, of the tree alone and with the standard library alone: the number of lines of each
 subpackage; the loops, tests, rules and loaders that are written several times, which
-`code_size.toml` lists; functions with more than nine parameters; circles of files; and the places
-that name a kind of query, which a new kind has to change. Of the working tree, by running a query:
-the files that a first hit passes through, from `Tracer.first_hit` to the triangle test.
+`code_size.toml` lists; functions with more than nine parameters; circles of files; the places
+that name a kind of query, which a new kind has to change; and tests of the class of a geometry. Of
+the working tree, by running a query: the files that a first hit passes through, from
+`Tracer.first_hit` to the triangle test.
 """
 
 import argparse
@@ -26,6 +27,10 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "raystream"
 LIST = Path(__file__).with_suffix(".toml")
 MOST_PARAMETERS = 9
+
+#: Classes of geometry, and how often code may ask for one of them.
+STORES = re.compile(r"\b(Store|Triangles|Primitives|Instanced\w+|Float64\w+|\w*Geometry)\b")
+MOST_STORE_TESTS = 8
 
 #: The rooms in which wide functions are limited: all that a query passes through.
 ENGINE = (
@@ -276,6 +281,15 @@ def places_of(kind, files):
                 yield f"{path}:{number}"
 
 
+def store_tests(trees):
+    """Places that ask of which class a geometry is, which a declaration could say."""
+    for path, tree in trees.items():
+        for node in ast.walk(tree):
+            is_test = isinstance(node, ast.Call) and ast.unparse(node.func) == "isinstance"
+            if is_test and len(node.args) == 2 and STORES.search(ast.unparse(node.args[1])):
+                yield f"{path}:{node.lineno}"
+
+
 def main(given=None):
     """Print all of these."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -306,6 +320,9 @@ def main(given=None):
     file_count = len({place.partition(":")[0] for place in places})
     print(f"\n{len(places)} lines name Kind.COUNT_HITS, in {file_count} files")
     print(*(f"  {place}" for place in places), sep="\n")
+    tests = list(store_tests(trees))
+    print(f"\n{len(tests)} isinstance tests on stores; at most {MOST_STORE_TESTS}")
+    print(*(f"  {place}" for place in tests), sep="\n")
     if not options.commit:
         print_files_passed()
 

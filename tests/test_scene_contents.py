@@ -93,7 +93,7 @@ FEATURES: dict[str, tuple[Callable[[rs.Tracer, Path], Any], str]] = {
     ),
     "heat map": (lambda t, _: rs.heatmap(_again(t, counters=True), size=(8, 8)), "heatmap"),
     "lidar_returns": (lambda t, _: rs.lidar_returns(t, *RAY), "lidar_returns"),
-    "thickness": (lambda t, _: rs.thickness(t, *RAY), "thickness"),
+    "thickness": (lambda t, _: rs.thickness(t, *RAY, nested="inner"), "thickness"),
     "visibility": (lambda t, _: rs.visibility(t, POINTS), "visibility"),
     "visibility of hits": (
         lambda t, _: rs.visibility(t, t.first_hit(*RAY, **_world(t))),

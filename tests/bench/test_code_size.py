@@ -126,3 +126,10 @@ def test_a_commit_is_read_as_it_was(tmp_path, monkeypatch, capsys):
     shown = capsys.readouterr().out
     assert "1 functions with more than 9 parameters" in shown
     assert "0 circles of files" in shown
+
+
+def test_few_places_ask_for_the_class_of_a_geometry() -> None:
+    found = list(code_size.store_tests(code_size.modules(code_size.files_now())))
+    assert len(found) <= code_size.MOST_STORE_TESTS, found
+    made_up = {"a.py": code_size.ast.parse("isinstance(a, Primitives | int) or isinstance(b, int)")}
+    assert list(code_size.store_tests(made_up)) == ["a.py:1"]

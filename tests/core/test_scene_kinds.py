@@ -36,10 +36,3 @@ def test_other_values_of_the_argument_are_named():
         ValueError, match=r"float64'; use device='cpu'.* or device='cuda'[^;]*ing'$"
     ):
         check_support(chosen, store_of("float64"), ValueError)
-
-
-def test_what_is_written_for_triangles_says_what_it_met():
-    ball = rs.Scene.spheres([[0, 0, 0]], 1.0).triangles
-    with pytest.raises(rs.RaystreamError, match=r"triangles.corners: not supported in a scene"):
-        _ = ball.corners
-    assert not hasattr(ball, "shape")

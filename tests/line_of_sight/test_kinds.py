@@ -70,3 +70,24 @@ def test_the_sphere_in_front_hides_the_one_behind(pixels: int) -> None:
     seen = rs.visible_faces(rs.Tracer(scene), rs.Camera((0, 0, -9), (0, 0, 0)), (pixels, pixels))
     assert seen.prim_ids.tolist() == [0, 2]
     assert seen.instance_ids.tolist() == [0, 0]
+
+
+def test_view_factors_of_a_height_field_are_those_of_its_mesh() -> None:
+    heights = np.random.default_rng(5).uniform(0.0, 3.0, (4, 5))
+    scenes = rs.Scene.height_field(heights), mesh_of(heights)
+    patches = np.arange(24) // 2
+    found, wanted = (rs.view_factors(rs.Tracer(one), patches, rays=256) for one in scenes)
+    np.testing.assert_allclose(found.factors, wanted.factors, atol=1e-12)
+
+
+def test_view_factors_in_float64_are_right_far_from_the_origin() -> None:
+    vertices = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    faces = [[0, 3, 1], [0, 2, 3], [4, 7, 6], [4, 5, 7], [0, 5, 4], [0, 1, 5]]
+    faces += [[2, 7, 3], [2, 6, 7], [0, 6, 2], [0, 4, 6], [1, 7, 5], [1, 3, 7]]
+    away = np.array([6.4e6, 1e6, -3e6]) + 1.0 / 3.0
+    room = rs.Scene.from_arrays(vertices + away, faces)
+    found = rs.view_factors(rs.Tracer(room, precision="float64"), np.arange(12) // 2, rays=4096)
+    wanted = np.full((6, 6), 0.2000438)  # of sides that share an edge
+    wanted[np.arange(6), [1, 0, 3, 2, 5, 4]] = 0.1998249
+    np.fill_diagonal(wanted, 0.0)
+    np.testing.assert_allclose(found.factors, wanted, atol=0.02)

@@ -587,10 +587,7 @@ def test_what_is_not_supported_says_so() -> None:
         with pytest.raises(ValueError, match=r"scene.flattened\(\)"):
             rs.Tracer(scene, **options)
     tracer = rs.Tracer(scene)
-    for ask in (
-        lambda: tracer.save("instances.npz"),
-        lambda: rs.view_factors(tracer, rays=64),
-    ):
+    for ask in (lambda: rs.view_factors(tracer, rays=64),):
         with pytest.raises(rs.RaystreamError, match=r"scene.flattened\(\)"):
             ask()
 

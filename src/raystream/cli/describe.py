@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from raystream.cli.load import triangle_figures
-from raystream.core.triangles import Triangles
 from raystream.kernels.solids import solids_of
 
 if TYPE_CHECKING:
@@ -102,7 +101,7 @@ def _describe_meshes(tracer: Tracer) -> dict[str, Any]:
         for mesh in tracer.scene.meshes
     ]
     triangles: Any = tracer.structure.triangles  # or what stands for them
-    if not isinstance(triangles, Triangles):
+    if triangles.has_primitives or triangles.instances is not None:
         return {"meshes": described}
     solids = solids_of(triangles)
     for mesh, is_closed in zip(described, solids.is_closed | solids.is_empty, strict=True):

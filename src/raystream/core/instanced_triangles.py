@@ -138,7 +138,10 @@ class InstancedTriangles(Store):
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """See `Store.saved_arrays`."""
         held = self.instances
-        arrays = {"object_ids": held.object_ids, "transforms": held.transforms}
+        arrays: dict[str, NDArray[Any]] = {
+            "object_ids": held.object_ids,
+            "transforms": held.transforms,
+        }
         if held.worlds is not None:
             arrays["worlds"] = held.worlds
         for k, one in enumerate(self.objects):

@@ -38,7 +38,7 @@ _TRIANGLES = "written for triangles of one local frame in float32"
 _NEAREST = "distances to it are not written"
 _PROGRAM = "programs and filters read triangles in float32"
 _FORMAT = "the format stores triangles of one local frame in float32"
-_PATCHES = "only triangles can be patches"
+_PATCHES = "patches are of triangles, in one place each"
 _BOXES = "steps are shown for one tree over triangles"
 _COUNTS = "its traversal does not count"
 _SHADING = "shading reads triangles in float32"
@@ -93,7 +93,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
                 "fields": "a scene of as many samples",
             },
         ),
-        "render": Feature(("instances", *_PRIMITIVES), "`render`", _SHADING),
+        "render": Feature(_ONE_WORLD, "`render`"),
         "materials that are not opaque": Feature(
             _PLACED, "`render`, with materials that are not opaque", _PROGRAM
         ),
@@ -108,7 +108,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             _PLACED, "cut-outs in analyses", _PROGRAM
         ),
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
-        "view_factors": Feature((), "`view_factors`", _PATCHES),
+        "view_factors": Feature(("fields", "float64"), "`view_factors`", _PATCHES),
         "closest points with device='cpu'": Feature(
             _ONE_WORLD, '`closest_point`, `signed_distance`, with ``device="cpu"``'
         ),

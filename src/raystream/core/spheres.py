@@ -80,6 +80,10 @@ def _spread(name: str, values: NDArray[Any], count: int) -> NDArray[Any]:
     return np.broadcast_to(values, (count,))
 
 
+#: None at all.
+NO_SPHERES = Spheres.of(np.zeros((0, 3)), 1.0)
+
+
 def directions_at(u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
     """Unit vectors, shape (..., 3), from centres to the points (u, v) of spheres.
 

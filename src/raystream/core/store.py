@@ -12,15 +12,11 @@ from numpy.typing import NDArray
 from raystream.core.attributes import Attributes
 from raystream.core.instances import Instances
 from raystream.core.masks import ALL_BITS, MaskRuns
-from raystream.core.scene_kinds import check_support
 from raystream.core.solid_parts import SolidPart
 from raystream.core.spawn import plane_offset, side_of, size_of
 
 if TYPE_CHECKING:
     from raystream.core.hits import HitColumns
-
-#: Names of `Triangles` that code asks other kinds for where it does not expect them.
-_OF_TRIANGLES = frozenset(("corners", "has_corners", "prim_ids", "release", "to_local"))
 
 
 class Store:
@@ -65,14 +61,6 @@ class Store:
     #: Corners of triangles by prim_id and instance_id, shape (..., 3, 3), float64, in the local
     #: frame; NaN for -1, and where there is no triangle.
     corners_at: Callable[[NDArray[np.int32], NDArray[np.int32]], NDArray[np.float64]]
-
-    if not TYPE_CHECKING:  # to type checkers, any name would exist
-
-        def __getattr__(self, name: str) -> Any:
-            # What is written for triangles alone meets another kind.
-            if name in _OF_TRIANGLES:
-                check_support(f"triangles.{name}", self)
-            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays that describe the geometry, by name: for files, and to recognise it."""
@@ -193,6 +181,11 @@ class Store:
         """Unit normals of hits in world space, NaN without an area; sizes in the local frame."""
         corners = self.corners_at(hits.prim_id, hits.instance_id)
         return self.normals_to_world(self.local_normals(hits), hits.instance_id), size_of(corners)
+
+    def local_corners(self, prim_ids: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+        """Corners of triangles in the local frame, shape (N, 3, 3), float64; NaN without any."""
+        ids = prim_ids.astype(np.int32)
+        return self.corners_at(ids, np.zeros_like(ids))
 
     def local_positions(self, hits: HitColumns) -> NDArray[np.float64]:
         """Points of hits, shape (..., 3), local frame; NaN for misses."""

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from raystream.core.errors import RaystreamError
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays, RayBatch
-from raystream.core.triangles import Triangles
 from raystream.cuda.bvh.kernels import layout_of, traced_as
 from raystream.cuda.hit_ids import HitIds
 from raystream.cuda.host_rays import trace_from_host
@@ -83,8 +82,7 @@ class CudaBackend(Backend):
         self._own_scene = None if layout_of(traced_as(structure)) else self._scene
         #: Whether the scene has triangles alone, where they are, in float32: for shading and
         #: programs.
-        is_plain = isinstance(structure.triangles, Triangles)
-        self._is_plain = is_plain and structure.precision == "float32"
+        self._is_plain = not structure.triangles.kinds
         self._staging_streams = StagingStreams(gpu)
         self._points = DevicePoints(gpu, structure, self._scene.resident, self.rays_at_once)
         usual_limits(gpu)  # now, so that no query waits for them

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import as_integers
-from raystream.core.triangles import Triangles
+from raystream.core.store import Store
 from raystream.line_of_sight.end_points import leaving_distance, planes_of
 
 #: Points keep this many times the distance at which their rays start from their triangle's edges,
@@ -36,7 +36,7 @@ class Patches(NamedTuple):
         World units.
     normals : ndarray of shape (F, 3), float64
         Unit length; NaN without an area.
-    triangles : Triangles
+    triangles : Store
     """
 
     ids: NDArray[np.int64]
@@ -45,10 +45,10 @@ class Patches(NamedTuple):
     shares: NDArray[np.float64]
     areas: NDArray[np.float64]
     normals: NDArray[np.float64]
-    triangles: Triangles
+    triangles: Store
 
 
-def patch_ids(values: Any, triangles: Triangles) -> NDArray[np.int64]:
+def patch_ids(values: Any, triangles: Store) -> NDArray[np.int64]:
     """Read the patch of each triangle, by default its mesh; see `view_factors`."""
     count = len(triangles)
     if values is None:
@@ -65,7 +65,7 @@ def patch_ids(values: Any, triangles: Triangles) -> NDArray[np.int64]:
     return ids.astype(np.int64)
 
 
-def make_patches(ids: NDArray[np.int64], triangles: Triangles) -> Patches:
+def make_patches(ids: NDArray[np.int64], triangles: Store) -> Patches:
     """Sort the triangles by patch, and measure them.
 
     Raises
@@ -73,9 +73,9 @@ def make_patches(ids: NDArray[np.int64], triangles: Triangles) -> Patches:
     ValueError
         If a patch has no area.
     """
-    normals, _, areas = planes_of(triangles.corners.astype(np.float64))
+    normals, _, areas = planes_of(triangles.local_corners(np.arange(len(triangles))))
     is_used = np.zeros(len(ids), bool)
-    is_used[triangles.prim_ids] = True
+    is_used[triangles.face_numbers()] = True
     is_used &= (ids >= 0) & (areas > 0.0)
     prim_ids = np.flatnonzero(is_used)
     prim_ids = prim_ids[np.argsort(ids[prim_ids], kind="stable")]
@@ -177,7 +177,7 @@ class _TriangleTable(NamedTuple):
 
 
 def _triangle_table(patches: Patches, prim_ids: NDArray[np.int64]) -> _TriangleTable:
-    corners = patches.triangles.corners[prim_ids].astype(np.float64)
+    corners = patches.triangles.local_corners(prim_ids)
     first = corners[:, 0]
     along_u, along_v = corners[:, 1] - first, corners[:, 2] - first
     normals = patches.normals[prim_ids]

@@ -26,7 +26,7 @@ __all__ = ["VisibleFaces", "visible_faces"]
 #: Most rays that are traced at once.
 _BLOCK = 1 << 18
 
-#: Bytes of a face that is counted; and, in a scene with instances, of one that is looked for.
+#: Bytes of a face that is counted; and, of other kinds than plain triangles, looked for.
 _COUNT_BYTES, _LOOKING_BYTES = 9, 34
 
 #: Additive recurrence in two dimensions with low discrepancy: powers of the inverse of the
@@ -122,7 +122,7 @@ def visible_faces(
     triangles: Any = tracer.structure.triangles
     check_support("visible_faces", triangles)
     count = triangles.number_count
-    needed = _COUNT_BYTES if triangles.instances is None or not points else _LOOKING_BYTES
+    needed = _LOOKING_BYTES if triangles.kinds and points else _COUNT_BYTES
     check_memory(needed * count, f"counts of {count:,} faces would")
     opacity = cutouts_of(tracer, cutouts)
     on_hit = opacity and opacity.on_hit
@@ -184,7 +184,7 @@ def _look_for_others(
         for begin in range(0, len(others), _BLOCK):
             faces = others[begin : begin + _BLOCK]
             prim_ids, instance_ids = triangles.ids_of(faces.astype(np.int32))
-            at = u, v
+            at: tuple[Any, Any] = (u, v)
             if triangles.has_primitives and not number:
                 at = _nearest_points(camera, size, triangles, prim_ids, at)
             centers = surface_points(tracer, prim_ids, *at, instance_ids)

@@ -202,7 +202,7 @@ class _Worker:
     def __init__(self, tracer: Tracer, batch: RayBatch, rules: Rules) -> None:
         self._tracer, self._batch, self._rules = tracer, batch, rules
         self.overlaps: set[tuple[int, int]] = set()
-        structure = tracer.structure
+        structure: Any = tracer.structure
         self._triangles: Any = structure.triangles
         #: The triangles of meshes, where a mesh is looked at alone.
         self._meshes: Any = self._triangles

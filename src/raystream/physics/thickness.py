@@ -70,7 +70,7 @@ class Thickness(RayRows):
     ray_splits : ndarray of shape (N + 1,), int64
         Ray i owns the segments ray_splits[i] to ray_splits[i + 1]; rays are numbered in the
         C order of their leading shape S.
-    t_entry, t_exit : ndarray of shape (K,), float32
+    t_entry, t_exit : ndarray of shape (K,), float32, or float64 of a tracer in float64
         Distances in direction lengths, in order of entry.
     path_length : ndarray of shape (K,), float64
         Scene units: (t_exit - t_entry) * length of the direction.
@@ -88,7 +88,7 @@ class Thickness(RayRows):
         The ray of each crossing that is not the end of a segment, in increasing order; within a
         ray by distance.
     unpaired_t, unpaired_prim_id, unpaired_mesh_id : ndarray of shape (U,)
-        Distance, triangle and mesh of the crossing: float32, int32, int32.
+        Distance, triangle and mesh of the crossing: of the type of `t_exit`, int32, int32.
     unpaired_kind : ndarray of shape (U,), uint8
         An `UnpairedKind`.
     unpaired_instance_id : ndarray of shape (U,), int32

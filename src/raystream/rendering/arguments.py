@@ -67,7 +67,7 @@ def make_tracer(
     ValueError, TypeError
         If a tracer is given together with options, or as `Tracer`.
     RaystreamError
-        If it is in float64, or its instances are in worlds.
+        If its instances are in worlds.
     """
     if isinstance(scene, Tracer):
         if structure != "bvh" or device != "cpu" or options:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from raystream.core.errors import RaystreamWarning
+from raystream.core.scene_kinds import check_support
 from raystream.rendering.integrator import RenderContext
 from raystream.rendering.lighting import has_visible_light, needs_light
 from raystream.rendering.opacity import Opacity
@@ -31,6 +32,8 @@ def make_context(
 ) -> RenderContext:
     """Prepare a tracer's scene for shading; see `tables_of` for warnings."""
     scene = tracer.scene
+    if not scene.is_opaque:
+        check_support("materials that are not opaque", tracer.structure.triangles)
     tables, kept_tables = tables_of(scene)
     if options.get("diffuse_only"):
         tables = tables._replace(kinds=tables.kinds & (EMITS | IS_TEXTURED))

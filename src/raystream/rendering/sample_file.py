@@ -98,6 +98,7 @@ def identity(renderer: Integrator, context: RenderContext) -> str:
     # image may get more of them later.
     depends = sampler == Sampler.of("stratified", sampler.seed, sampler.sample_count)
     counts = sampler.sample_count if depends else min(sampler.sample_count, 2)
+    precision = context.tracer.structure.precision
     return json.dumps(
         {
             "raystream": __version__,
@@ -110,6 +111,7 @@ def identity(renderer: Integrator, context: RenderContext) -> str:
             "lights": context.chosen_lights,
             "added lights": [SKY, SUN, HEADLIGHT] if context.is_light_added else [],
             "scene": _digest(context.tracer.scene),
+            **({"precision": precision} if precision != "float32" else {}),
         },
         sort_keys=True,
     )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.scene_kinds import check_support
 from raystream.rendering.shading.placed_tables import ObjectTables, placed_tables
 from raystream.rendering.shading.primitive_tables import MeshTables, primitive_tables
 from raystream.rendering.shading.streams import ShadingBatch
@@ -50,14 +51,14 @@ def tables_at(
         if isinstance(context.objects, MeshTables):
             return primitive_tables(context.tables, context.objects, hits)
         return placed_tables(context.tables, context.objects, hits)
-    return context.tables, (hits.t, hits.u, hits.v, hits.prim_id), None
+    # Shading is in float32, of triangles whose corners were rounded, as offsets of rays allow for.
+    places = (column.astype(np.float32, copy=False) for column in (hits.t, hits.u, hits.v))
+    return context.tables, (*places, hits.prim_id), None
 
 
 def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | MeshTables | None:
     """The tables of the objects of a scene with instances, or of the meshes beside primitives."""
     triangles: Any = scene.triangles
     if triangles.has_primitives:
-        if not scene.is_opaque:
-            check_support("materials that are not opaque", triangles)
         return MeshTables.of(arrays)
     return None if triangles.instances is None else ObjectTables.of(triangles, arrays)

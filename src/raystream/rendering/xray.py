@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamWarning
-from raystream.core.rays import RayBatch
 from raystream.physics.attenuation import attenuation
 from raystream.physics.segments import Rules, find_segments
 from raystream.rendering.arguments import check_number
@@ -67,7 +66,10 @@ def composite_surfaces(stream: PathStream, band: Band) -> PathStream:
         directions = paths.directions.astype(np.float64)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         displaces = context.options["nested"] == "inner"
-        batch, rules = RayBatch(paths.origins, directions), Rules(displaces=displaces)
+        batch, rules = (
+            context.tracer.structure.ray_batch(paths.origins, directions),
+            Rules(displaces=displaces),
+        )
         found, overlaps = find_segments(context.tracer, batch, rules)
         if overlaps and not displaces:  # in the same words for all bands
             text = "xray: meshes overlap, and both absorb there; nested='inner' lets only one"

@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
+from raystream.core.height_field import HeightField
+from raystream.core.instances import Instances
+from raystream.core.spheres import NO_SPHERES, Spheres
 from raystream.core.triangles import Triangles
 from raystream.scene.mesh import Mesh
 
@@ -27,7 +30,23 @@ def geometry_of(scene: Any) -> Geometry | None:
 
 
 class Geometry:
-    """Meshes and their triangles, built once for all scenes that share the meshes."""
+    """Meshes and their triangles, built once for all scenes that share the meshes.
+
+    Attributes
+    ----------
+    meshes : tuple of Mesh
+    attributes : Attributes
+    instances : Instances or None
+    has_primitives : bool
+        Whether it was made for spheres and height fields.
+    fields : tuple of HeightField
+    spheres : Spheres
+    """
+
+    instances: Instances | None = None
+    has_primitives = False
+    fields: tuple[HeightField, ...] = ()
+    spheres: Spheres = NO_SPHERES
 
     def __init__(self, meshes: Iterable[Mesh], triangles: Triangles | None = None) -> None:
         self.meshes = tuple(meshes)

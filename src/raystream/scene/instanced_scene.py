@@ -119,15 +119,15 @@ class InstancedScene:
     @property
     def placements(self) -> Instances | None:
         """The instances: ``object_ids``, ``transforms``, ``inverses`` and ``names``, or None."""
-        geometry = self._geometry
-        return geometry.instances if isinstance(geometry, InstancedGeometry) else None
+        return self._geometry.instances
 
     def has_objects_of(self, other: InstancedScene) -> bool:
         """Whether two scenes have instances of the same objects, or neither has instances."""
-        own, others = self._geometry, other._geometry
-        if not (isinstance(own, InstancedGeometry) and isinstance(others, InstancedGeometry)):
+        own: Any = self._geometry
+        others: Any = other._geometry
+        if own.instances is None or others.instances is None:
             return type(own) is type(others)
-        is_same = own.mesh_counts == others.mesh_counts
+        is_same: bool = own.mesh_counts == others.mesh_counts
         return is_same and all(map(operator.is_, own.meshes, others.meshes))
 
     def with_transforms(self, transforms: Any) -> Self:
@@ -143,8 +143,8 @@ class InstancedScene:
         ValueError, TypeError
             If there are no instances; otherwise as `instances`.
         """
-        geometry = self._geometry
-        if not isinstance(geometry, InstancedGeometry):
+        geometry: Any = self._geometry
+        if geometry.instances is None:
             raise ValueError("transforms: the scene has no instances; see Scene.instances")
         moved = geometry.moved(geometry.instances.moved(transforms))
         return self._with(_geometry=moved)
@@ -165,8 +165,8 @@ class InstancedScene:
         MemoryError
             If it does not fit into memory.
         """
-        geometry = self._geometry
-        if not isinstance(geometry, InstancedGeometry):
+        geometry: Any = self._geometry
+        if geometry.instances is None:
             return self
         if geometry.instances.worlds is not None:
             raise ValueError("flattened: the instances are in worlds, which may overlap")

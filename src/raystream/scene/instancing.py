@@ -18,7 +18,6 @@ from raystream.scene.geometry import Geometry, geometry_of
 from raystream.scene.io.part_names import path_name
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
-from raystream.scene.primitive_geometry import PrimitiveGeometry
 
 if TYPE_CHECKING:
     from raystream.core.triangles import Triangles
@@ -41,6 +40,8 @@ class InstancedGeometry(Geometry):
         Meshes of each object.
     instances : Instances
     """
+
+    instances: Instances
 
     def __init__(
         self, meshes: Sequence[Mesh], mesh_counts: Sequence[int], instances: Instances
@@ -104,7 +105,7 @@ class Objects(NamedTuple):
                     f"objects[{index}]: expected a Mesh, a Scene or a list of meshes, "
                     f"got {type(one).__name__}"
                 )
-            if isinstance(geometry, PrimitiveGeometry):
+            if geometry is not None and geometry.has_primitives:
                 raise ValueError(
                     f"objects[{index}]: spheres and height fields cannot be placed as instances"
                 )
@@ -154,10 +155,10 @@ class Objects(NamedTuple):
             mesh.with_material_ids(mesh.material_ids + shift) if shift else mesh
             for mesh in one.meshes
         )
-        if isinstance(geometry, InstancedGeometry):
+        if geometry.instances is not None:
             if geometry.instances.worlds is not None:
                 raise ValueError("objects: one is a scene whose instances are in worlds")
-            self.mesh_counts.extend(geometry.mesh_counts)
+            self.mesh_counts.extend(geometry.mesh_counts)  # type: ignore[attr-defined]
             return first, geometry.instances
         self.mesh_counts.append(len(one.meshes))
         return first, None

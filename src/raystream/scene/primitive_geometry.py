@@ -11,7 +11,7 @@ import numpy as np
 
 from raystream.core.height_field import HeightField
 from raystream.core.primitives import Primitives
-from raystream.core.spheres import Spheres
+from raystream.core.spheres import NO_SPHERES, Spheres
 from raystream.scene.geometry import Geometry, geometry_of
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 #: Triangles that a camera is chosen by.
 _SEEN = 50_000
-
-NO_SPHERES = Spheres.of(np.zeros((0, 3)), 1.0)
 
 
 class PrimitiveGeometry(Geometry):
@@ -34,6 +32,8 @@ class PrimitiveGeometry(Geometry):
     fields : sequence of HeightField
     spheres : Spheres
     """
+
+    has_primitives = True
 
     def __init__(
         self, meshes: Sequence[Mesh], fields: Sequence[HeightField], spheres: Spheres
@@ -84,12 +84,9 @@ def combined(scenes: Iterable[Any]) -> tuple[PrimitiveGeometry, list[Material]]:
             mesh.with_material_ids(mesh.material_ids + shift) if shift else mesh
             for mesh in one.meshes
         )
-        if isinstance(geometry, PrimitiveGeometry):
-            fields.extend(
-                field.with_material(field.material_id + shift) for field in geometry.fields
-            )
-            held = geometry.spheres
-            parts.append(replace(held, material_ids=held.material_ids + np.int32(shift)))
+        fields.extend(field.with_material(field.material_id + shift) for field in geometry.fields)
+        held = geometry.spheres
+        parts.append(replace(held, material_ids=held.material_ids + np.int32(shift)))
     columns = ("centers", "radii", "material_ids", "masks")
     spheres = Spheres(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
     return PrimitiveGeometry(meshes, fields, spheres), materials

@@ -9,9 +9,9 @@ import numpy as np
 
 from raystream.core.height_field import HeightField
 from raystream.core.masks import ALL_BITS
-from raystream.core.spheres import Spheres
+from raystream.core.spheres import NO_SPHERES, Spheres
 from raystream.scene.instanced_scene import InstancedScene
-from raystream.scene.primitive_geometry import NO_SPHERES, PrimitiveGeometry, combined
+from raystream.scene.primitive_geometry import PrimitiveGeometry, combined
 
 if TYPE_CHECKING:
     from raystream.scene.scene import Scene
@@ -209,22 +209,20 @@ class PrimitiveScene(InstancedScene):
     @property
     def has_primitives(self) -> bool:
         """Whether there are spheres or height fields, rather than triangles alone."""
-        return isinstance(self._geometry, PrimitiveGeometry)
+        return self._geometry.has_primitives
 
     def mesh_name(self, mesh_id: int) -> str:
         """Name of a hit's mesh: that of the mesh, "height field" or "spheres"."""
         meshes = self._geometry.meshes
         if mesh_id < len(meshes):
             return meshes[mesh_id].name
-        fields = getattr(self._geometry, "fields", ())
+        fields = self._geometry.fields
         return "height field" if mesh_id < len(meshes) + len(fields) else "spheres"
 
     @property
     def primitive_materials(self) -> frozenset[int]:
         """The materials of spheres and height fields."""
         geometry = self._geometry
-        if not isinstance(geometry, PrimitiveGeometry):
-            return frozenset()
         ids = {field.material_id for field in geometry.fields}
         return frozenset(ids.union(np.unique(geometry.spheres.material_ids).tolist()))
 
@@ -232,8 +230,6 @@ class PrimitiveScene(InstancedScene):
     def primitive_counts(self) -> str:
         """Numbers of height fields and spheres, as text to append; empty if there are none."""
         geometry = self._geometry
-        if not isinstance(geometry, PrimitiveGeometry):
-            return ""
         fields = [f", a height field of {f.heights.shape}" for f in geometry.fields]
         count = len(geometry.spheres)
         return "".join(fields) + (f", {count:,} spheres" if count else "")

@@ -156,8 +156,8 @@ class Scene(PrimitiveScene):
         """Make a scene from a triangle store: the same triangles and meshes, nothing else."""
         store: Any = triangles
         if store.has_primitives:
-            meshes = cls.from_triangles(store.triangles).meshes
-            geometry = PrimitiveGeometry(meshes, store.fields, store.spheres)
+            of_meshes = cls.from_triangles(store.triangles).meshes
+            geometry = PrimitiveGeometry(of_meshes, store.fields, store.spheres)
             materials = [Material()] * max(1, geometry.highest_material + 1)
             return cls._of_primitives(geometry, {"materials": materials})
         if store.instances is not None:
@@ -165,7 +165,7 @@ class Scene(PrimitiveScene):
             objects = [list(cls.from_triangles(one).meshes) for one in store.objects]
             return cls.instances(objects, held.transforms, held.object_ids, worlds=held.worlds)
         ids = np.arange(len(triangles), dtype=np.int32)
-        local = triangles.corners_at(ids, ids) if triangles.kinds else triangles.corners
+        local: Any = triangles.corners_at(ids, ids) if triangles.kinds else triangles.corners
         corners = triangles.points_to_world(local, ids)
         meshes = []
         for first, end in itertools.pairwise(triangles.mesh_splits):

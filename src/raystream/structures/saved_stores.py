@@ -79,7 +79,7 @@ def _float64(arrays: Arrays) -> Float64Triangles:
     faces = take(arrays, "faces", np.int64, (None, 3))
     if not (faces.min(initial=0) >= 0 and faces.max(initial=-1) < len(vertices)):
         raise ValueError("a face has a vertex that does not exist")
-    made = Float64Triangles.of([(vertices, faces)])  # type: ignore[list-item]
+    made = Float64Triangles.of([(vertices, faces)])
     made.mesh_splits = _splits(arrays, len(faces))
     return made
 

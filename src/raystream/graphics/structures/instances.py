@@ -57,9 +57,9 @@ _INSTEAD = {
 }
 
 
-def instanced_structure(structure: InstancedStructure) -> ShaderStructure:
+def instanced_structure(structure: Any) -> ShaderStructure:
     """The structures of the objects, and the tree over the instances, as shaders read them."""
-    made = _trees(structure) if isinstance(structure, InstancedBvh) else _lists(structure)
+    made = _trees(structure) if structure.name == "bvh" else _lists(structure)
     return replace(made, rays=placed_rays(float(structure.view.far_unit)))
 
 
