@@ -38,7 +38,7 @@ def main():
     parser.add_argument("--rays", type=int, default=65_536)
     options = parser.parse_args()
     side = int(options.rays**0.5)
-    masks = np.full(side * side, 3)
+    masks = np.full(side * side, 3, np.uint32)
     masks[::2] = 7
     for name, scene in scenes().items():
         origins, directions = scene.camera.rays(side, side)
