@@ -21,14 +21,15 @@ KERNELS = ("packet", "groups", "wavefront", "single")
 
 def scenes():
     """Two meshes of a scene; and the same, placed 64 times."""
-    whole = rs.load("boxes").meshes
-    half = len(whole) // 2
-    meshes = [one.with_mask(1 if k < half else 2) for k, one in enumerate(whole)]
+    whole = rs.load("boxes")
+    half = len(whole.meshes) // 2
+    meshes = [one.with_mask(1 if k < half else 2) for k, one in enumerate(whole.meshes)]
+    scene = whole.replace(meshes=meshes)
     places = np.tile(np.eye(3, 4), (64, 1, 1))
-    low, high = rs.Scene(meshes).bounds
+    low, high = scene.bounds
     places[:, 0, 3], places[:, 2, 3] = np.divmod(np.arange(64), 8) * (high - low)[[0, 2], None]
-    instances = rs.Scene.instances(rs.Scene(meshes), places, masks=1 + np.arange(64) % 2)
-    return {"boxes": rs.Scene(meshes), "boxes, 64 instances": instances}
+    instances = rs.Scene.instances(scene, places, masks=1 + np.arange(64) % 2)
+    return {"boxes": scene, "boxes, 64 instances": instances}
 
 
 def main():
@@ -37,7 +38,7 @@ def main():
     parser.add_argument("--rays", type=int, default=65_536)
     options = parser.parse_args()
     side = int(options.rays**0.5)
-    masks = np.full(side * side, 3)
+    masks = np.full(side * side, 3, np.uint32)
     masks[::2] = 7
     for name, scene in scenes().items():
         origins, directions = scene.camera.rays(side, side)

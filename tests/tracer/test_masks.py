@@ -105,6 +105,14 @@ def test_each_kernel_for_many_rays(kernel: str) -> None:
     check(rs.Tracer(scene, kernel=kernel), left, _rays(COUNT, 1, True), _masks())
 
 
+@pytest.mark.ci
+def test_the_multipass_machine() -> None:
+    scene = rs.Scene(_meshes())
+    left = {mask: rs.Tracer(_without(scene, mask), "brute") for mask in RAY_MASKS}
+    tracer = rs.Tracer(scene, machine="multipass")
+    check(tracer, left, _rays(COUNT, 1, True), _masks())
+
+
 def _placed(mask: int | None, worlds: bool) -> rs.Scene:
     """Instances, some of whose masks are those of their meshes; one object for each of them.
 
@@ -307,5 +315,6 @@ def test_refusals_name_the_argument() -> None:
     rays = [0, 0, 0], [0, 0, 1]
     with pytest.raises(RaystreamError, match="mask: not supported with precision='float64'"):
         rs.Tracer(scene, precision="float64").first_hit(*rays, mask=1)
-    with pytest.raises(RaystreamError, match=r"mask: .* machine='multipass'; use device='cpu'"):
-        rs.Tracer(scene, machine="multipass").first_hit(*rays, mask=1)
+    other = rs.Tracer(rs.Scene([rs.Mesh(*cube(), mask=2)]), machine="multipass")
+    with pytest.raises(RaystreamError, match=r"mask: .*on_hit.* machine='multipass'; use machine"):
+        other.first_hit(*rays, mask=1, on_hit=_is_low)

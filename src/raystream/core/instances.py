@@ -121,7 +121,7 @@ class Instances:
             raise ValueError(
                 f"names: expected {len(matrices):,}, one per transform, got {len(self.names):,}"
             )
-        self.masks = None if masks is None else as_masks("masks", masks)
+        self.masks = None if masks is None else np.array(as_masks("masks", masks))
         if self.masks is not None and self.masks.shape != (len(matrices),):
             raise ValueError(
                 f"masks: expected {len(matrices):,}, one per transform, got {self.masks.shape}"

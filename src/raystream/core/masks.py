@@ -53,6 +53,8 @@ def as_masks(name: str, values: Any) -> NDArray[np.uint32]:
         If one is negative, or has more than 32 bits.
     """
     array = as_integers(name, values)
+    if array.dtype == np.uint32:  # nothing to check
+        return array
     if array.size and not (array.min() >= 0 and array.max() <= ALL_BITS):
         raise ValueError(
             f"{name}: expected integers of 32 bits, 0 to {ALL_BITS:,}, got {array.min()} to "

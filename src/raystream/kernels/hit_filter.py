@@ -109,12 +109,8 @@ def kept_hits(filter_, bits, hits, prim_id, first):
 def _keeps(filter_, t, u, v, prim_id):
     no_inline()
     own = filter_.filter
-    if own.masks != NULL and not is_admitted(own.masks, filter_.ray, prim_id):
-        return False
     if _skips(own, filter_.ray, prim_id):
         return False
-    if own.function == NULL:
-        return True
     hits = scratch(FILTERED_BYTES)
     store(hits, world_t(t, filter_.t_scale, filter_.t_offset))
     store(hits + U_AT, u)
@@ -126,6 +122,12 @@ def _keeps(filter_, t, u, v, prim_id):
 def keeps(filter_, t, u, v, prim_id):
     """Whether a ray's hit at a local t exists, for a `RayFilter`; all do if it is None."""
     if filter_ is None:
+        return True
+    own = filter_.filter
+    # Masks are asked for without a call, which takes longer than they do.
+    if own.masks != NULL and not is_admitted(own.masks, filter_.ray, prim_id):
+        return False
+    if own.function == NULL and own.skip_count == ZERO_U64:
         return True
     return _keeps(filter_, t, u, v, prim_id)
 

@@ -42,7 +42,7 @@ class Capabilities(NamedTuple):
     points : bool
         It finds the triangles nearest to points: `find_nearest`.
     masks : bool
-        Its traversals ask for the masks of rays and geometry.
+        It asks for the masks of rays and geometry.
     """
 
     device_arrays: bool = False

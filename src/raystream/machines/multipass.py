@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.checks import check_least
 from raystream.core.query import Kind, Query
+from raystream.core.rays import RayBatch
 from raystream.jit.constants import NULL
 from raystream.jit.threads import Progress, parts
 from raystream.kernels.hits import HitAddresses, HitArrays, Sink
@@ -34,6 +35,7 @@ from raystream.machines.records import (
 from raystream.machines.schedulers import DEFAULT_THRESHOLD, Scheduler, make_scheduler
 from raystream.machines.steps import Steps, steps_of
 from raystream.machines.steps.base import StepKernel
+from raystream.programs.masked import with_masks
 from raystream.streams import Counters
 from raystream.structures import Structure
 
@@ -72,7 +74,7 @@ class MultipassBackend(LocalFrameBackend):
         If an option is out of range, or the structure is not supported.
     """
 
-    capabilities = Capabilities(passes=True, loops=True)
+    capabilities = Capabilities(passes=True, loops=True, masks=True)
 
     def __init__(
         self,
@@ -112,6 +114,13 @@ class MultipassBackend(LocalFrameBackend):
         machine = copy.copy(self)
         machine.observer = observer
         return machine
+
+    def answer(
+        self, query: Query, rays: RayBatch, progress: Progress | None = None, records: Any = None
+    ) -> Sink:
+        """Run a query; see `Backend.answer`. Masks are a filter."""
+        query = with_masks(query, rays, self.structure.triangles)
+        return super().answer(query, rays, progress, records)
 
     def run_local(
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None

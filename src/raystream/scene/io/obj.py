@@ -352,7 +352,7 @@ def _meshes(
     if not names:
         return []
     used, faces, starts = corners.shared(cuts)
-    tables: dict[str, NDArray[Any]] = {"vertices": vertices[used[:, 0]]}
+    tables: dict[str, Any] = {"vertices": vertices[used[:, 0]]}
     if corners.has_normals:
         tables["normals"] = corners.normals[used[:, 2]]
     if corners.has_texcoords:
