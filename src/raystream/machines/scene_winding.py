@@ -28,6 +28,8 @@ def scene_winding(
     accuracy: float = 0.0,
 ) -> NDArray[np.float64]:
     """Winding numbers of points of shape (N, 3), world space; NaN for invalid ones."""
+    if not structure.triangles.kinds:
+        return winding_of(structure.triangles, points, progress, accuracy)
     parts = structure.triangles.solid_parts()
     is_valid = are_valid(points)
     numbers, valid = np.where(is_valid, 0.0, np.nan), np.flatnonzero(is_valid)
@@ -65,9 +67,10 @@ def _rows_near(
 ) -> NDArray[np.int64]:
     """The rows, of those ordered by x, where a part's winding number may differ from 0."""
     if part.box is None or not solids_of(part.triangles).is_closed_together:
-        return by_x
+        return np.sort(by_x)
     low, high = part.box
     first, end = np.searchsorted(points[by_x, 0], (low[0], high[0]))
     rows = by_x[first : end + 1]
     near: NDArray[np.bool_] = ((points[rows] >= low) & (points[rows] <= high)).all(axis=1)
-    return rows[near]
+    # As they were given: sums of groups of triangles depend on which points are neighbours.
+    return np.sort(rows[near])

@@ -71,7 +71,7 @@ class Float64Bvh(Float64Structure):
     """
 
     traverse = staticmethod(tree_blocks)
-    point_loop = staticmethod(find_in_tree)  # type: ignore[assignment]
+    point_loop = staticmethod(find_in_tree)
     many_ray_kernels = BATCH_KERNELS
 
     def __init__(
@@ -111,7 +111,7 @@ class Float64Brute(Float64Structure):
     """
 
     traverse = staticmethod(all_blocks)
-    point_loop = staticmethod(find_among_all)  # type: ignore[assignment]
+    point_loop = staticmethod(find_among_all)
 
     def __init__(
         self, triangles: Float64Triangles, options: Brute, *, progress: Progress | None = None

@@ -76,12 +76,12 @@ class PlacedInstances(NamedTuple):
         The root of the tree over the instances; 0 without one.
     leaves : uint64
         The first `PlacedRecord`.
-    count : uint64
+    instance_count : uint64
     """
 
     nodes: np.uint64
     leaves: np.uint64
-    count: np.uint64
+    instance_count: np.uint64
 
 
 class _ObjectTree(NamedTuple):
@@ -90,7 +90,7 @@ class _ObjectTree(NamedTuple):
     nodes: np.uint64
     leaves: np.uint64
     placed: np.uint64
-    index: np.uint64
+    number: np.uint64
 
 
 def _norm(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -174,8 +174,8 @@ def _corner(at):
 @device
 def _visit_block(tree, child, line, search, _stack):
     """Offer the triangles of an object's leaf."""
-    placed = PlacedRecord(tree.placed, tree.index)
-    rows = None, SHIFT_32, np.int32(tree.index), PRIM_IDS
+    placed = PlacedRecord(tree.placed, tree.number)
+    rows = None, SHIFT_32, np.int32(tree.number), PRIM_IDS
     block, end = leaf_blocks(tree, child)
     while block != end:
         corners = _corner(block), _corner(block + SECOND), _corner(block + THIRD)
@@ -211,7 +211,7 @@ def _find_in_trees(top, frame, query, search, stack):
 
 @device
 def _find_among_all(top, frame, query, search, stack):  # noqa: ARG001
-    for index in range(top.count):
+    for index in range(top.instance_count):
         placed = PlacedRecord(top.leaves, index)
         for k in range(placed.triangle_count):
             prim_id = load(np.int32, placed.references + (k << SHIFT_32))

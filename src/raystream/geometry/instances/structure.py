@@ -192,7 +192,7 @@ class InstancedBvh(InstancedStructure):
 
     _kind = BvhStructure
     traverse = staticmethod(traverse_top)
-    point_loop = staticmethod(find_in_trees)  # type: ignore[assignment]
+    point_loop = staticmethod(find_in_trees)
     stack_bytes = 2 * STACK_BYTES
     many_ray_kernels = BATCH_KERNELS
 
@@ -205,7 +205,7 @@ class InstancedBrute(InstancedStructure):
 
     _kind = BruteStructure
     traverse = staticmethod(traverse_all)
-    point_loop = staticmethod(find_among_all)  # type: ignore[assignment]
+    point_loop = staticmethod(find_among_all)
 
     @property
     def tests_per_ray(self) -> int:

@@ -28,7 +28,7 @@ class _Around(NamedTuple):
     """The spheres so far, and the limit by which boxes are entered: 0."""
 
     limit: float
-    count: float
+    total: float
 
 
 @device
@@ -38,7 +38,7 @@ def _count_in_block(block, point, around, frame):
     _, length, radius = sphere_gap(point, (held.x, held.y, held.z, held.radius), frame)
     inside = np.float64(popcount(mask_bits(length < radius)))
     on = np.float64(popcount(mask_bits(length == radius)))
-    return _Around(around.limit, around.count + inside + _HALF * on)
+    return _Around(around.limit, around.total + inside + _HALF * on)
 
 
 @device
@@ -75,4 +75,4 @@ def count_around(begin, end, points, held, frame, numbers):
             for k in range(held.block_count):
                 block = address_of(SphereBlock(held.sphere_blocks, k))
                 around = _count_in_block(block, point, around, tree)
-        numbers[i] += around.count
+        numbers[i] += around.total

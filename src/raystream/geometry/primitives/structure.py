@@ -146,7 +146,7 @@ class PrimitiveBvh(PrimitiveStructure):
 
     _kind = BvhStructure
     traverse = staticmethod(traverse_trees)
-    point_loop = staticmethod(find_in_trees)  # type: ignore[assignment]
+    point_loop = staticmethod(find_in_trees)
     stack_bytes = STACK_BYTES
 
     def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
@@ -168,7 +168,7 @@ class PrimitiveBrute(PrimitiveStructure):
 
     _kind = BruteStructure
     traverse = staticmethod(traverse_all)
-    point_loop = staticmethod(find_among_all)  # type: ignore[assignment]
+    point_loop = staticmethod(find_among_all)
     stack_bytes = STACK_BYTES
 
     @property
