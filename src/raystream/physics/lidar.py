@@ -141,8 +141,7 @@ def lidar_returns(
         As `Tracer.first_hit`, or if another argument is out of range; or if there are cut-outs, and
         the tracer counts.
     RaystreamError
-        If the scene is in float64, its instances are in worlds, or there are cut-outs beside
-        spheres or height fields.
+        If the scene is in float64, or its instances are in worlds.
 
     Notes
     -----

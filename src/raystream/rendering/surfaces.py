@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.scene_kinds import check_support
 from raystream.rendering.shading.placed_tables import ObjectTables, placed_tables
 from raystream.rendering.shading.primitive_tables import MeshTables, primitive_tables
 from raystream.rendering.shading.streams import ShadingBatch
@@ -57,7 +56,5 @@ def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | MeshTables |
     """The tables of the objects of a scene with instances, or of the meshes beside primitives."""
     triangles: Any = scene.triangles
     if "primitives" in triangles.kinds:
-        if not scene.is_opaque:
-            check_support("materials that are not opaque", triangles)
         return MeshTables.of(arrays)
     return None if triangles.instances is None else ObjectTables.of(triangles, arrays)
