@@ -39,6 +39,7 @@ def test_holes_are_seen_through_in_float64_and_beside_spheres(kind) -> None:
     for tracer in (double, beside):
         assert rs.visibility(tracer, ABOVE, BELOW).tolist() == [[True, False], [True, False]]
         assert not rs.visibility(tracer, ABOVE, BELOW, cutouts=False).any()
+        assert rs.visibility(tracer, ABOVE, BELOW, skip_a=[[0, 1, 2, 3]] * 2).all()
 
 
 def test_many_points_see_what_they_see_past_half_a_card(rng) -> None:

@@ -126,7 +126,7 @@ def visibility(
         If a Zarr group cannot be written.
     RaystreamError
         If the package zarr is needed and not installed; if the scene's instances are in worlds; or
-        for hits, `out`, cut-outs and triangles to skip in a scene with spheres, or in float64.
+        for hits and `out` in a scene with spheres or height fields, or in float64.
 
     Notes
     -----
