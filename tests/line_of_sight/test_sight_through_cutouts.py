@@ -8,7 +8,6 @@ import pytest
 import raystream as rs
 from cards import DOWN, KINDS, card, cut_out, faded, over_ground
 from conftest import assert_same_bits
-from raystream.core.errors import RaystreamError
 
 #: The others need kernels of their own.
 PLACED = [False, pytest.param(True, marks=pytest.mark.ci)]
@@ -30,6 +29,17 @@ def test_points_see_each_other_through_holes(kind, placed) -> None:
     both = rs.visibility(tracer, ABOVE + BELOW)
     assert both.sum() == 4 + 4 + 4
     assert (both == both.T).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_holes_are_seen_through_in_float64_and_beside_spheres(kind) -> None:
+    double = rs.Tracer(over_ground(kind), precision="float64")
+    clear = rs.Scene.spheres([[-0.5, 0.3, 0.0]], 0.2, materials=[rs.Material(opacity=0.3)])
+    beside = rs.Tracer(rs.Scene.combine([over_ground(kind), clear]))
+    for tracer in (double, beside):
+        assert rs.visibility(tracer, ABOVE, BELOW).tolist() == [[True, False], [True, False]]
+        assert not rs.visibility(tracer, ABOVE, BELOW, cutouts=False).any()
+        assert rs.visibility(tracer, ABOVE, BELOW, skip_a=[[0, 1, 2, 3]] * 2).all()
 
 
 def test_many_points_see_what_they_see_past_half_a_card(rng) -> None:
@@ -82,17 +92,10 @@ def _mirrored(pixels):
 
 
 def test_tracers_that_cannot_filter_say_so() -> None:
-    double = rs.Tracer(over_ground(), precision="float64")
-    with pytest.raises(RaystreamError, match=r"cutouts=True, with surfaces .*float64"):
-        rs.visibility(double, ABOVE, BELOW)
-    assert not rs.visibility(double, ABOVE, BELOW, cutouts=False).any()
     counting = rs.Tracer(over_ground(), counters=True)
     for ask in (rs.visible_faces, rs.view_factors, lambda one: rs.visibility(one, ABOVE)):
         with pytest.raises(ValueError, match="cutouts=True: a tracer with counters=True"):
             ask(counting)
-    # Nothing is cut out.
-    plain = over_ground().replace(materials=[rs.Material(), rs.Material()])
-    assert not rs.visibility(rs.Tracer(plain, precision="float64"), ABOVE, BELOW).any()
 
 
 # View factors

@@ -9,7 +9,6 @@ import raystream as rs
 from cards import DOWN, KINDS, card, cut_out, over_ground
 from conftest import assert_same_bits, skip_without_adapter
 from meshes import cube
-from raystream.core.errors import RaystreamError
 from raystream.programs.cutouts import cutouts_of
 
 #: Over the half that is cut out, the half that is there, and beside the card.
@@ -58,6 +57,26 @@ def test_graphics_devices_pass_through_holes(placed) -> None:
     below = np.array(ORIGINS) * [1, 1, 0] - [0, 0, 0.5]
     seen = rs.visibility(tracer, ORIGINS, below).diagonal()
     assert seen.tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_spheres_and_height_fields_are_there_by_their_opacity(kind) -> None:
+    """Over the half of the card that is there: one of each that is, and one that is not."""
+    clear, solid = (rs.Material(opacity=opacity) for opacity in (0.3, 0.7))
+    above = [[0.5, 0.3, 3.0]], [[3.0, 0.3, 3.0]]
+    balls = [rs.Scene.spheres(*one) for one in zip(above, (0.5, 0.5), strict=True)]
+    fields = [
+        rs.Scene.height_field(np.zeros((2, 2)), origin=(x, 0.2, 4.0), spacing=0.2)
+        for x in (0.4, -0.6)
+    ]
+    materials = [solid, clear, clear, solid]
+    parts = [one.replace(materials=[m]) for one, m in zip(balls + fields, materials, strict=True)]
+    scene = rs.Scene.combine([over_ground(kind), *parts])
+    found = rs.lidar_returns(rs.Tracer(scene), ORIGINS, DOWN)
+    assert found.ranges.tolist() == [1.0, 1.5, 6.0]
+    assert found.material_id.tolist() == [5, 2, 1]
+    through = rs.lidar_returns(rs.Tracer(scene), ORIGINS, DOWN, transmission=0.5)
+    assert through.ranges.tolist() == [1.0, 6.0, 1.5, 2.5, 5.0, 6.0, 6.0]
 
 
 def test_sub_rays_share_the_energy_between_a_card_and_what_its_hole_shows() -> None:
@@ -186,8 +205,3 @@ def test_what_cannot_filter_says_so() -> None:
     with pytest.raises(ValueError, match=r"cutouts=True: a tracer with counters.* cutouts=False"):
         rs.lidar_returns(counting, ORIGINS, DOWN)
     assert len(rs.lidar_returns(counting, ORIGINS, DOWN, cutouts=False).ranges) == 3
-    ball = rs.Scene.spheres([[0.0, 0.0, 0.0]], 1.0)
-    both = rs.Tracer(rs.Scene.combine([over_ground(), ball]))
-    with pytest.raises(RaystreamError, match=r"cutouts=True, with surfaces .* spheres"):
-        rs.lidar_returns(both, ORIGINS, DOWN)
-    assert len(rs.lidar_returns(both, ORIGINS, DOWN, cutouts=False).ranges) == 3

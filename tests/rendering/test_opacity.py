@@ -166,11 +166,11 @@ def test_what_glows_with_an_alpha_is_no_area_light():
     assert rs.Scene([faint([1, 1, 1, 0.5])], materials=[glowing]).area_lights == []
 
 
-def test_primitives_beside_an_alpha_are_refused():
-    balls = rs.Scene.spheres([[0, 0, 2.0]], 1.0)
-    scene = rs.Scene.combine([rs.Scene([faint([0.5] * 4)]), balls]).replace(camera=AHEAD)
-    with pytest.raises(rs.RaystreamError, match="not opaque"):
-        rs.render(scene, "vis", (8, 8))
+def test_a_sphere_behind_an_alpha_is_seen_by_a_share_of_rays():
+    balls = rs.Scene.spheres([[0, 0, -9.0]], 8.0, materials=[rs.Material(diffuse=BLACK)])
+    meshes = rs.Scene([faint([0.25] * 4)], materials=[rs.Material(diffuse=BLACK, emission=WHITE)])
+    scene = rs.Scene.combine([meshes, balls], camera=AHEAD)
+    assert_mean(rs.render(scene, "path", (32, 32), 16, sampler="random"), 0.25)
 
 
 @pytest.mark.ci

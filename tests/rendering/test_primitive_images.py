@@ -83,8 +83,27 @@ def test_layers_and_checkpoints(tmp_path) -> None:
     assert image.layers["prim_id"].max() == triangle_count + 1
 
 
-def test_materials_that_are_not_opaque_are_refused() -> None:
-    glass = rs.Material(opacity=0.5)
-    scene = rs.Scene.spheres([[0, 0, 0]], 1.0, materials=[glass])
-    with pytest.raises(rs.RaystreamError, match="materials that are not opaque"):
-        rs.render(scene, size=(8, 8))
+@pytest.mark.parametrize("alphas", [False, True])
+def test_shares_of_rays_pass_through_spheres_and_height_fields(alphas) -> None:
+    """A field, and each of the two sides of a sphere, cover a quarter, each by its own chance."""
+    black = rs.Material(diffuse=(0, 0, 0), opacity=0.25)
+    ball = rs.Scene.spheres([[0, 0, 0]], 5.0, materials=[black])
+    at = {"origin": (-9, -9, -7), "spacing": 9.0}
+    field = rs.Scene.height_field(np.zeros((3, 3)), **at, materials=[black])
+    parts = {"background": (1, 1, 1), "camera": rs.Camera((0, 0, 30), (0, 0, 0), fov=5)}
+    hidden = rs.Mesh([[0, 0, 99], [1, 0, 99], [0, 1, 99]], [[0, 1, 2]], colors=np.full((3, 4), 0.5))
+    beside = [rs.Scene([hidden])] if alphas else []
+    for scenes, share in (([field], 0.75), ([ball], 0.75**2), ([ball, field], 0.75**3)):
+        scene = rs.Scene.combine([*scenes, *beside], **parts)
+        pixels = rs.render(scene, "path", (32, 32), 16, sampler="random").pixels
+        assert abs(pixels.mean() - share) < 4 * np.sqrt(share * (1 - share) / (32 * 32 * 16))
+
+
+@pytest.mark.parametrize("mode", ["vis", "raycast", "shadow", "whitted", "xray"])
+def test_what_is_cut_out_is_not_in_images(mode) -> None:
+    clear = rs.Material(opacity=0.3, alpha_cutoff=0.5)
+    scene, options = with_primitives(), {"size": SIZE, "samples": 2, "seed": 3}
+    parts = {"lights": LIGHTS, "camera": CAMERA, "up": (0, 0, 1), "materials": [GREEN, clear]}
+    ground = rs.Scene.height_field(heights(), spacing=0.25, **parts)
+    found = rs.render(scene.replace(materials=[GREEN, clear]), mode, **options).pixels
+    np.testing.assert_array_equal(found, rs.render(ground, mode, **options).pixels)

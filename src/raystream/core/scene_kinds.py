@@ -95,7 +95,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         ),
         "render": Feature(_ONE_WORLD, "`render`"),
         "materials that are not opaque": Feature(
-            _PLACED, "`render`, with materials that are not opaque", _PROGRAM
+            _ALL, "`render`, with materials that are not opaque"
         ),
         "heatmap": Feature(("instances", *_PRIMITIVES), "`heatmap`", _COUNTS),
         "lidar_returns": Feature(_ONE_WORLD, "`lidar_returns`, `lidar_sweep`"),
@@ -104,9 +104,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "points on surfaces": Feature(_ALL, "`visibility` of hits"),
         "surface_points": Feature(_ALL, "`surface_points`"),
         "out": Feature(_ALL, "`visibility` with ``out=``"),
-        "cutouts=True, with surfaces that are not opaque": Feature(
-            _PLACED, "cut-outs in analyses", _PROGRAM
-        ),
+        "cutouts=True, with surfaces that are not opaque": Feature(_ALL, "cut-outs in analyses"),
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
         "view_factors": Feature(("fields", "float64"), "`view_factors`", _PATCHES),
         "closest points with device='cpu'": Feature(

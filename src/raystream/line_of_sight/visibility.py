@@ -125,8 +125,7 @@ def visibility(
     StoreWriteError
         If a Zarr group cannot be written.
     RaystreamError
-        If the package zarr is needed and not installed; if the scene's instances are in worlds; or
-        for cut-outs and triangles to skip in a scene with spheres, or in float64.
+        If the package zarr is needed and not installed; if the scene's instances are in worlds.
 
     Notes
     -----

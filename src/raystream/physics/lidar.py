@@ -140,8 +140,7 @@ def lidar_returns(
         As `Tracer.first_hit`, or if another argument is out of range; or if there are cut-outs, and
         the tracer counts.
     RaystreamError
-        If the scene's instances are in worlds; or if there are cut-outs beside spheres or height
-        fields, or in float64.
+        If the scene's instances are in worlds.
 
     Notes
     -----

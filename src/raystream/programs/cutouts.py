@@ -9,8 +9,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.scene_kinds import check_support
-
 #: What looks opacity up. It is named, as the rooms of devices are, and not imported: X-ray images
 #: need `physics`, whose analyses need this, so that neither room can be before the other.
 _OPACITY = "raystream.rendering.opacity"
@@ -37,22 +35,14 @@ def cutouts_of(tracer: Any, is_wanted: bool, is_solid: NDArray[np.bool_] | None 
 
     Raises
     ------
-    RaystreamError
-        If there are cut-outs, and the scene has other primitives or is in float64.
     ValueError
         If there are cut-outs, and the tracer counts.
     """
     scene = tracer.scene
     if not is_wanted or scene.is_opaque:
         return None
-    triangles: Any = tracer.structure.triangles
-    opacity = None
-    if not triangles.has_primitives:
-        opacity = _opacity_of(scene, triangles, is_solid)
-        if opacity is None:
-            return None
-    check_support("cutouts=True, with surfaces that are not opaque", triangles)
-    if tracer.is_counting:
+    opacity = _opacity_of(scene, tracer.structure.triangles, is_solid)
+    if opacity is not None and tracer.is_counting:
         raise ValueError(
             "cutouts=True: a tracer with counters=True counts whole queries, and filters take "
             "several; use another tracer, or cutouts=False"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from raystream.rendering.shading.opacity import (
     OpacityTables,
     find_points,
     is_there,
+    is_there_beside_spheres,
 )
 from raystream.rendering.shading.textures import Atlas, TextureTables, address_of
 from raystream.rendering.vertex_attributes import VertexAttributes
@@ -51,10 +52,18 @@ class Opacity:
         Of the random numbers that decide on partly transparent surfaces.
     kept : object
         The arrays at the tables' addresses, to keep them alive.
+    function : callable
+        The filter's function.
     """
 
-    def __init__(self, tables: OpacityTables, seed: int | None, kept: object) -> None:
-        self._tables = tables
+    def __init__(
+        self,
+        tables: OpacityTables,
+        seed: int | None,
+        kept: object,
+        function: Callable[..., bool] = is_there,
+    ) -> None:
+        self._tables, self._function = tables, function
         self._seed = np.uint32((seed or 0) & 0xFFFFFFFF)
         self._kept = kept
 
@@ -70,7 +79,7 @@ class Opacity:
         seed : int or None
             None leaves nothing to chance: without a cut-off, surfaces have one of a half.
         is_solid : ndarray of shape (F,), bool, optional
-            Triangles that are opaque, whatever their material.
+            Primitives that are opaque, whatever their material.
 
         Warns
         -----
@@ -79,7 +88,7 @@ class Opacity:
         """
         if scene.is_opaque:
             return None
-        material_ids, materials = scene.attributes.material_ids, list(scene.materials)
+        material_ids, materials = scene.geometry.material_ids, list(scene.materials)
         if is_solid is not None:  # one more material, which is opaque
             material_ids = np.where(is_solid, np.int32(len(materials)), material_ids)
             materials.append(Material())
@@ -98,12 +107,15 @@ class Opacity:
             address_of(material_ids),
             address_of(vertices.faces),
             address_of(vertices.texcoords),
+            np.int32(len(scene.attributes.material_ids)),
             address_of(alphas),
             address_of(kinds),
             address_of(numbers),
             textures,
         )
-        return cls(tables, seed, (material_ids, vertices, alphas, kinds, numbers, kept))
+        function = is_there_beside_spheres if scene.has_primitives else is_there
+        held = material_ids, vertices, alphas, kinds, numbers, kept
+        return cls(tables, seed, held, function)
 
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound:
         """The filter (``on_hit``) of queries for these rays, of shape (N, 3)."""
@@ -111,7 +123,7 @@ class Opacity:
         directions = np.ascontiguousarray(directions, np.float32)
         places = address_of(origins), address_of(directions)
         rays = FilteredRays(self._tables, self._seed, *places)
-        return Bound(is_there, rays, (self, origins, directions))
+        return Bound(self._function, rays, (self, origins, directions))
 
     @property
     def on_hit(self) -> Bound:

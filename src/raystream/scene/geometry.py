@@ -66,6 +66,11 @@ class Geometry:
 
         return self._described(make_triangles(arrays))
 
+    @property
+    def material_ids(self) -> NDArray[np.int32]:
+        """The material of each primitive, by prim_id, int32."""
+        return self.attributes.material_ids
+
     def default_view(self, up: NDArray[np.float64]) -> DefaultView:
         """The view of a scene without a camera; kept, for the last up."""
         key, kept = up.tobytes(), self._view

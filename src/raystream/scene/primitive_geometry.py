@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.core.height_field import HeightField
 from raystream.core.primitives import Primitives
@@ -46,6 +47,12 @@ class PrimitiveGeometry(Geometry):
     def triangles(self) -> Any:
         """All primitives in one local frame."""
         return Primitives(self._meshes_alone.triangles, self.fields, self.spheres, self.attributes)
+
+    @property
+    def material_ids(self) -> NDArray[np.int32]:
+        """The material of each primitive, by prim_id, int32."""
+        fields = (np.full(len(one), one.material_id, np.int32) for one in self.fields)
+        return np.concatenate([super().material_ids, *fields, self.spheres.material_ids])
 
     @property
     def highest_material(self) -> int:

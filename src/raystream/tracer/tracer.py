@@ -167,10 +167,11 @@ class Tracer(MemoryEstimator, PointQueries):
             ends the search. It may be called in any order, more than once, and at hits behind the
             nearest. See `trace` for what it may do. A `Bound` passes it constants.
         skip_prim_ids : array_like of shape S or S + (k,), int, or Hits of shape S, optional
-            Triangles that each ray ignores, such as the one that it starts on; -1 ignores
-            nothing. The filter is not called for them. Given as numbers, triangles are ignored in
-            all of their instances; given as hits, only in the instance that was hit. With rays in
-            arrays on a GPU, it may be an array there, of int32 or int64.
+            Triangles that each ray ignores, such as the one that it starts on, or spheres, of which
+            it ignores both sides; -1 ignores nothing. The filter is not called for them. Given as
+            numbers, triangles are ignored in all of their instances; given as hits, only in the
+            instance that was hit. With rays in arrays on a GPU, it may be an array there, of int32
+            or int64.
         near : array_like that broadcasts to S, int, optional
             The sectors in which rays start, for a graph: `Hits.sectors` of the hits that they
             leave; -1 where unknown. It does not change results: the search begins there instead of

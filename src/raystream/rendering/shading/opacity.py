@@ -41,7 +41,9 @@ class OpacityTables(NamedTuple):
     Attributes
     ----------
     material_ids, faces, texcoords
-        See `SceneTables`; faces and texcoords are 0 if missing.
+        See `SceneTables`; faces and texcoords are 0 if missing. Materials are of all primitives.
+    triangle_count : int32
+        Triangles of meshes: what comes after them has neither texture coordinates nor vertices.
     alphas : uint64
         Of shape (V, 1), float32: the alpha of vertices; 0 if it is 1 everywhere.
     kinds : uint64
@@ -55,6 +57,7 @@ class OpacityTables(NamedTuple):
     material_ids: np.uint64
     faces: np.uint64
     texcoords: np.uint64
+    triangle_count: np.int32
     alphas: np.uint64
     kinds: np.uint64
     numbers: np.uint64
@@ -88,6 +91,15 @@ def is_there(hit: Any, rays: Any) -> bool:
     return _is_there(hit.prim_id, hit.instance_id, hit.u, hit.v, hit.ray, kind, rays)
 
 
+def is_there_beside_spheres(hit: Any, rays: Any) -> bool:
+    """The same in a scene with spheres, of which each side is there or not by its own chance."""
+    kind = gather(np.int32, rays.tables.kinds, material_of(rays.tables, hit.prim_id))
+    if kind == OPAQUE:
+        return True
+    side = _0 if hit.is_entering else _1
+    return _is_there(hit.prim_id, side, hit.u, hit.v, hit.ray, kind, rays)
+
+
 @kernel
 def find_points(begin, end, prim_ids, u, v, rays, found):
     """Write whether points of triangles, rows begin to end, are there; none is left to chance."""
@@ -116,7 +128,7 @@ def _alpha(tables, prim, material, u, v):
     alpha = np.float64(gather(np.float32, tables.numbers, as_int32(material * _2)))
     texture = gather(np.int32, tables.textures.of_material, material)
     has_texture = texture >= _0 and tables.texcoords != _NONE
-    if not has_texture and tables.alphas == _NONE:
+    if (not has_texture and tables.alphas == _NONE) or prim >= tables.triangle_count:
         return alpha
     vertices = vertices_of(tables, prim)
     if tables.alphas != _NONE:
@@ -131,7 +143,10 @@ def _alpha(tables, prim, material, u, v):
 
 @device_call
 def _number(rays, ray, prim_id, instance_id):
-    """A number in [0, 1), hashed from the ray's bits, the triangle, its instance and the seed."""
+    """A number in [0, 1), hashed from the ray's bits, the triangle, its instance and the seed.
+
+    Of spheres, sides are in place of instances.
+    """
     key = mix(rays.seed ^ _OF_OPACITY)
     at = rays.origins + ray * np.uint64(24)
     for k in range(np.uint64(3)):
