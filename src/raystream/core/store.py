@@ -127,6 +127,9 @@ class Store:
         masks = np.full(len(firsts), ALL_BITS, np.uint32) if known is None else known.masks
         return firsts, masks
 
+    #: Whether all that is in an instance has the same mask.
+    has_masks_by_instance: bool = False
+
     # Solids.
 
     #: The triangles as parts, each in one frame.

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.core.store import Store
 from raystream.jit.constants import BYTES_32, NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import call_filter, no_inline
 from raystream.jit.simd import count_trailing_zeros, load, scratch, store
-from raystream.kernels.masks import is_admitted
+from raystream.kernels.masks import has_bit, is_admitted
 from raystream.kernels.ray import world_t
 
 #: Bytes of 16 hits as filters read them, and where their u and v are.
@@ -37,7 +38,9 @@ class HitFilter(NamedTuple):
     skip_count : uint64
         Triangles per ray; 0 if rays skip none.
     masks : uint64
-        Address of a `masks.MaskTable`; 0 if all rays may hit everything.
+        Address of a `masks.MaskTable` to ask at hits; 0 if none has to be asked.
+    entered : uint64
+        The same where a ray enters an instance.
     """
 
     function: np.uint64
@@ -45,10 +48,19 @@ class HitFilter(NamedTuple):
     skipped: np.uint64
     skip_count: np.uint64
     masks: np.uint64
+    entered: np.uint64
 
 
 #: It ignores no hit.
-NO_FILTER = HitFilter(NULL, NULL, NULL, ZERO_U64, NULL)
+NO_FILTER = HitFilter(NULL, NULL, NULL, ZERO_U64, NULL, NULL)
+
+
+def masked(given: HitFilter, table: np.uint64, store: Store) -> HitFilter:
+    """A filter that also asks for the masks of a `masks.MaskTable` at an address.
+
+    Hits in an instance are not asked for if it has one mask, which its rays have passed.
+    """
+    return given._replace(masks=NULL if store.has_masks_by_instance else table, entered=table)
 
 
 class RayFilter(NamedTuple):
@@ -130,6 +142,15 @@ def keeps(filter_, t, u, v, prim_id):
     if own.function == NULL and own.skip_count == ZERO_U64:
         return True
     return _keeps(filter_, t, u, v, prim_id)
+
+
+@device
+def may_enter(filter_, mask):
+    """Whether a ray may hit what has a mask, for a `RayFilter` or None."""
+    if filter_ is None:
+        return True
+    own = filter_.filter
+    return own.entered == NULL or has_bit(own.entered, filter_.ray, mask)
 
 
 @device

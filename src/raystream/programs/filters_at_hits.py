@@ -93,7 +93,7 @@ class FilterAtHits:
             self._loop = _compile(function, text, reader.classes, form)
             code = self._loop.address_of(_TYPES)
         context = self._context.ctypes.data
-        self.addresses = HitFilter(*np.array((code, context, *skips, 0), np.uint64))
+        self.addresses = HitFilter(*np.array((code, context, *skips, 0, 0), np.uint64))
 
     @property
     def has_raised(self) -> bool:

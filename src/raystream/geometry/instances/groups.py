@@ -12,7 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.geometry.instances.merged_hits import InstanceList, Merged, merge_hits, object_leaf
+from raystream.geometry.instances.merged_hits import (
+    InstanceList,
+    Merged,
+    admitted_rays,
+    merge_hits,
+    object_leaf,
+)
 from raystream.geometry.instances.object_rays import load_rays
 from raystream.geometry.instances.padding import drop_invalid, padded_source
 from raystream.geometry.instances.records import InstanceRecord, ObjectRecord, TreeRecord
@@ -85,6 +91,9 @@ def _search_instance(leaf, leaves, index, rays, count, scene):
     """Search an instance with the rays of a list; returns the number of hits."""
     no_inline()
     instance = InstanceRecord(leaves, index)
+    count = admitted_rays(leaf.filter, instance.mask, scene, rays, count)
+    if count == ZERO_U64:
+        return ZERO_U64
     object_ = ObjectRecord(leaf.objects, np.uint64(instance.object_id))
     if object_.nodes == NULL:
         return ZERO_U64

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -23,6 +23,7 @@ from raystream.jit.simd import (
 )
 from raystream.kernels.best import Best, LanesFilter, best_views, shorten_ray
 from raystream.kernels.hit_filter import FILTERED_BYTES, U_AT, V_AT, HitFilter, RayFilter, keeps
+from raystream.kernels.masks import has_bit
 from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packets.rays import GROUP, GroupPlaces, first_ray
 from raystream.structures.bvh.ray_groups.leaf import GroupLeaf, visit_leaf
@@ -66,6 +67,24 @@ def ray_index(scene, number):
     """The index in the batch of a ray of a scene's groups."""
     places = GroupPlaces(scene + PLACES_AT, ZERO_U64, ZERO_U64)
     return first_ray(places, number >> LANE_SHIFT) + (number & LAST_LANE)
+
+
+@device
+def admitted_rays(filter_, mask, scene, rays, count):
+    """Remove those of a list of a scene's rays that cannot hit what has a mask; see `InstanceList`.
+
+    Returns the list's new length.
+    """
+    if filter_ is None:
+        return count
+    if filter_.entered == NULL:
+        return count
+    kept = ZERO_U64
+    for j in range(count):
+        number = load(np.uint32, rays + j * LANE)
+        store(rays + kept * LANE, number)
+        kept += np.uint64(has_bit(filter_.entered, ray_index(scene, np.uint64(number)), mask))
+    return kept
 
 
 @device

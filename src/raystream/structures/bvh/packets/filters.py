@@ -29,7 +29,7 @@ from raystream.kernels.hit_filter import (
     RayFilter,
     kept_hits,
 )
-from raystream.kernels.masks import admitted_lanes
+from raystream.kernels.masks import admitted_lanes, lanes_with_bit
 from raystream.kernels.ray import world_t
 from raystream.structures.bvh.packets.rays import (
     GroupLanes,
@@ -98,6 +98,17 @@ def lanes_filter(filter_, group, g):
     if filter_ is None:
         return None
     return LanesFilter(kept_lanes, filter_, group, g)
+
+
+@device
+def rays_that_enter(filter_, g, bits, mask):
+    """Bits of those rays of group g that may hit what has a mask, for a `PacketFilter` or None."""
+    if filter_ is None:
+        return bits
+    own = filter_.filter
+    if own.entered == NULL:
+        return bits
+    return bits & mask_bits(lanes_with_bit(own.entered, first_ray(filter_.places, g), mask))
 
 
 @device
