@@ -105,6 +105,18 @@ def test_each_kernel_for_many_rays(kernel: str) -> None:
     check(rs.Tracer(scene, kernel=kernel), left, _rays(COUNT, 1, True), _masks())
 
 
+@pytest.mark.parametrize("kernel", ["packet", *_later("groups", "single", "brute")])
+def test_float64(kernel: str) -> None:
+    scene = rs.Scene(_meshes())
+    structure = rs.Brute() if kernel == "brute" else rs.Bvh(kernel=kernel)
+    left = {
+        mask: rs.Tracer(_without(scene, mask), "brute", precision="float64") for mask in RAY_MASKS
+    }
+    for coherent in (True, False):
+        tracer = rs.Tracer(scene, structure, precision="float64")
+        check(tracer, left, _rays(COUNT, 1, coherent), _masks())
+
+
 @pytest.mark.ci
 def test_the_multipass_machine() -> None:
     scene = rs.Scene(_meshes())
@@ -311,10 +323,7 @@ def test_bad_masks_of_instances(masks: Any) -> None:
 
 
 def test_refusals_name_the_argument() -> None:
-    scene = rs.Scene([rs.Mesh(*cube())])
     rays = [0, 0, 0], [0, 0, 1]
-    with pytest.raises(RaystreamError, match="mask: not supported with precision='float64'"):
-        rs.Tracer(scene, precision="float64").first_hit(*rays, mask=1)
     other = rs.Tracer(rs.Scene([rs.Mesh(*cube(), mask=2)]), machine="multipass")
     with pytest.raises(RaystreamError, match=r"mask: .*on_hit.* machine='multipass'; use machine"):
         other.first_hit(*rays, mask=1, on_hit=_is_low)

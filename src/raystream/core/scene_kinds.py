@@ -83,7 +83,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "counters=True": Feature((*_PLACED, *_PRIMITIVES), "``counters=True``", _COUNTS),
         "on_hit, skip_prim_ids": Feature(_ALL, "``on_hit=``, ``skip_prim_ids=``"),
         "trace": Feature(_ALL, "`Tracer.trace`"),
-        "mask": Feature((*_PLACED, *_PRIMITIVES), "``mask=``", _PROGRAM),
+        "mask": Feature(_ALL, "``mask=``"),
         "update": Feature(
             _ALL,
             "`Tracer.update`",

@@ -83,6 +83,7 @@ class RayFilter(NamedTuple):
 
 @device
 def _skips(filter_, ray, prim_id):
+    """Whether a ray skips a triangle, for a `HitFilter`."""
     at = filter_.skipped + ray * filter_.skip_count * BYTES_32
     end = at + filter_.skip_count * BYTES_32
     while at != end:
@@ -90,6 +91,14 @@ def _skips(filter_, ray, prim_id):
             return True
         at += BYTES_32
     return False
+
+
+@device
+def may_hit(own, ray, number):
+    """Whether masks and skipped triangles of a `HitFilter` let a ray hit what has a number."""
+    if own.masks != NULL and not is_admitted(own.masks, ray, number):
+        return False
+    return own.skip_count == ZERO_U64 or not _skips(own, ray, number)
 
 
 @device
@@ -128,6 +137,12 @@ def _keeps(filter_, t, u, v, prim_id):
     store(hits + U_AT, u)
     store(hits + V_AT, v)
     return kept_hits(own, ONE_U64, hits, prim_id, filter_.ray) != ZERO_U64
+
+
+@device
+def asks_at_hits(own):
+    """Whether a `HitFilter` may ignore hits, not only rays that enter instances."""
+    return own.masks != NULL or own.function != NULL or own.skip_count != ZERO_U64
 
 
 @device

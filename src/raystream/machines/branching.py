@@ -91,13 +91,9 @@ class Branching(Backend):
 
         Notes
         -----
-        In float64, traversals do not know the exact t of most hits: filters run on those found.
-
         A traversal finds hits in any order. So that errors do not depend on it, a query whose
         filter raises is run again, over the nearest hits of each ray.
         """
-        if self.structure.precision == "float64":
-            return False
         filter_: Any = query.on_hit
         is_one = query.kind is Kind.FIRST_HIT or query.kind is Kind.ANY_HIT
         if not is_one and (query.kind is Kind.TRACE or not filter_.is_bare):

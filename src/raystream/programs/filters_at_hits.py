@@ -170,7 +170,7 @@ def _compile(function: Any, constants: str, classes: dict[str, Any], form: Scene
         "hit_of": form.hit_of,
         "ignore": np.int64(Decision.IGNORE),
         "is_skipped": form.is_skipped,
-        "lane_at": lane_at,
+        "lane_at": form.of_rows(lane_at),
         "load": load,
         "one": np.uint64(1),
         "rays_of": rays_of,

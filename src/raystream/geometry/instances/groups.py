@@ -91,9 +91,6 @@ def _search_instance(leaf, leaves, index, rays, count, scene):
     """Search an instance with the rays of a list; returns the number of hits."""
     no_inline()
     instance = InstanceRecord(leaves, index)
-    count = admitted_rays(leaf.filter, instance.mask, scene, rays, count)
-    if count == ZERO_U64:
-        return ZERO_U64
     object_ = ObjectRecord(leaf.objects, np.uint64(instance.object_id))
     if object_.nodes == NULL:
         return ZERO_U64
@@ -112,12 +109,13 @@ def _search_instance(leaf, leaves, index, rays, count, scene):
 
 @device
 def _visit_instance(leaf, tree, child, rays, memory, small):  # noqa: ARG001
-    at, count = rays.at, rays.length
+    index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
+    mask = InstanceRecord(tree.leaves, index).mask
+    at, count = rays.at, admitted_rays(leaf.filter, mask, memory, rays)
     if rays.is_grouped:
         at, count = rays.room, list_rays(at, count, memory, rays.t_in, rays.room)
-        if count == ZERO_U64:
-            return ZERO_U64
-    index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
+    if count == ZERO_U64:
+        return ZERO_U64
     return _search_instance(leaf, tree.leaves, index, at, count, memory)
 
 

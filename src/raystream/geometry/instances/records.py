@@ -15,8 +15,8 @@ from raystream.kernels.ray import SceneFrame
 from raystream.structures.base import Structure
 
 #: World to object space: ``linear @ point + shift``; the object, the number of its first triangle
-#: in this instance, its world, 0 if there are none, and the bits of all its masks. As long as a block of triangles, so that
-#: traversals prefetch a leaf of either tree where it is.
+#: in this instance, its world, 0 if there are none, and all bits of its masks. As long as a
+#: block of triangles, so that traversals prefetch a leaf of either tree where it is.
 _FIELDS: list[Any] = [
     ("linear", "f8", (3, 3)),
     ("shift", "f8", 3),

@@ -27,6 +27,7 @@ from raystream.kernels.hit_filter import (
     V_AT,
     HitFilter,
     RayFilter,
+    asks_at_hits,
     kept_hits,
 )
 from raystream.kernels.masks import admitted_lanes, lanes_with_bit
@@ -124,6 +125,19 @@ def _unskipped(filter_, taken, prim_id, first):
 
 
 @device
+def lanes_that_may_hit(own, taken, prim_id, first):
+    """The mask of those lanes that masks and skipped triangles of a `HitFilter` leave.
+
+    `first` is the batch index of the first lane's ray.
+    """
+    if own.masks != NULL:
+        taken = taken & admitted_lanes(own.masks, first, prim_id)
+    if own.skip_count != ZERO_U64 and mask_bits(taken) != ZERO_U64:
+        taken = _unskipped(own, taken, prim_id, first)
+    return taken
+
+
+@device
 def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
     """The mask of those lanes whose hits with a triangle exist.
 
@@ -138,11 +152,10 @@ def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
         The group's index.
     """
     own = filter_.filter
+    if not asks_at_hits(own):
+        return taken
     first = first_ray(filter_.places, g)
-    if own.masks != NULL:
-        taken = taken & admitted_lanes(own.masks, first, prim_id)
-    if own.skip_count != ZERO_U64 and mask_bits(taken) != ZERO_U64:
-        taken = _unskipped(own, taken, prim_id, first)
+    taken = lanes_that_may_hit(own, taken, prim_id, first)
     bits = mask_bits(taken)
     if own.function == NULL or bits == ZERO_U64:
         return taken
