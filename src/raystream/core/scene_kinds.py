@@ -36,7 +36,6 @@ _ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
 # Why a kind of scene lacks a feature.
 _TRIANGLES = "written for triangles of one local frame in float32"
 _NEAREST = "distances to it are not written"
-_PROGRAM = "programs and filters read triangles in float32"
 _FORMAT = "the format stores triangles of one local frame in float32"
 _PATCHES = "patches are of triangles, in one place each"
 _BOXES = "steps are shown for one tree over triangles"

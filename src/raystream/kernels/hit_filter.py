@@ -29,8 +29,8 @@ class HitFilter(NamedTuple):
 
     Attributes
     ----------
-    function : uint64
-        Address of the filter's code; 0 if there is none.
+    function : uint64 or None
+        Address of the filter's code; 0 if there is none, None where there cannot be one.
     context : uint64
         Its first argument.
     skipped : uint64
@@ -43,7 +43,7 @@ class HitFilter(NamedTuple):
         The same where a ray enters an instance.
     """
 
-    function: np.uint64
+    function: np.uint64 | None
     context: np.uint64
     skipped: np.uint64
     skip_count: np.uint64
@@ -154,7 +154,14 @@ def keeps(filter_, t, u, v, prim_id):
     # Masks are asked for without a call, which takes longer than they do.
     if own.masks != NULL and not is_admitted(own.masks, filter_.ray, prim_id):
         return False
-    if own.function == NULL and own.skip_count == ZERO_U64:
+    return _keeps_if_asked(own.function, filter_, t, u, v, prim_id)
+
+
+@device
+def _keeps_if_asked(function, filter_, t, u, v, prim_id):
+    if function is None:
+        return True
+    if function == NULL and filter_.filter.skip_count == ZERO_U64:
         return True
     return _keeps(filter_, t, u, v, prim_id)
 
