@@ -415,7 +415,7 @@ def trace_on_device(
         placed = place_device_rays(scope, arrays, world_count, kind)
         if arrays.mask is not None:
             masks = ray_masks(host_values(scope, "mask", arrays.mask), placed.shape)
-            placed = placed._replace(masks=scene.masks.place(scope, masks))
+            placed = placed.with_masks(scene.masks.place(scope, masks))
         rays = RayLauncher(scene, scope, placed, report=report)
         task = QUERIES[query.kind](query, rays, payload=payload)
         with closing(task.launch()) as steps:  # after an error, before the scope ends

@@ -70,6 +70,10 @@ class DeviceRays(NamedTuple):
     def __len__(self) -> int:
         return math.prod(self.shape)
 
+    def with_masks(self, masks: DeviceArray | None) -> DeviceRays:
+        """The same rays with masks."""
+        return DeviceRays(self.shape, self.source, self.arrays, self.worlds, masks)
+
     def source_from(self, first: int) -> RaySource:
         """The source of the rays from `first` on."""
         own = self.source
