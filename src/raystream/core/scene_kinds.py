@@ -36,7 +36,6 @@ _ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
 # Why a kind of scene lacks a feature.
 _TRIANGLES = "written for triangles of one local frame in float32"
 _NEAREST = "distances to it are not written"
-_PROGRAM = "programs and filters read triangles in float32"
 _FORMAT = "the format stores triangles of one local frame in float32"
 _PATCHES = "patches are of triangles, in one place each"
 _BOXES = "steps are shown for one tree over triangles"
@@ -83,7 +82,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "counters=True": Feature((*_PLACED, *_PRIMITIVES), "``counters=True``", _COUNTS),
         "on_hit, skip_prim_ids": Feature(_ALL, "``on_hit=``, ``skip_prim_ids=``"),
         "trace": Feature(_ALL, "`Tracer.trace`"),
-        "mask": Feature((*_PLACED, *_PRIMITIVES), "``mask=``", _PROGRAM),
+        "mask": Feature(_ALL, "``mask=``"),
         "update": Feature(
             _ALL,
             "`Tracer.update`",

@@ -135,6 +135,9 @@ class Store:
         """The first numbers of the parts that have a mask each, and these masks."""
         return self.mesh_splits[:-1], self.mesh_masks
 
+    #: Whether all that is in an instance has the same mask.
+    has_masks_by_instance: bool = False
+
     # Solids.
 
     #: The triangles as parts, each in one frame.

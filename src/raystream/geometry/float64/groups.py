@@ -27,8 +27,16 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import f64x4, load, scratch, store
 from raystream.structures.bvh.leaf_kinds import CountsLanes, no_prefetch
 from raystream.structures.bvh.node_layout import LANE, leaf_address
+from raystream.structures.bvh.packets.filters import packet_filter
 from raystream.structures.bvh.packets.hits import COLLECTOR_BYTES, Collector
-from raystream.structures.bvh.packets.rays import GROUP, GROUPS, PACKET_RAYS, GroupLanes, group_rows
+from raystream.structures.bvh.packets.rays import (
+    GROUP,
+    GROUPS,
+    PACKET_RAYS,
+    GroupLanes,
+    GroupPlaces,
+    group_rows,
+)
 from raystream.structures.bvh.ray_groups.leaf import SMALL_BYTES, Small
 from raystream.structures.bvh.ray_groups.queries import group_kernel
 from raystream.structures.bvh.ray_groups.rays import (
@@ -38,6 +46,7 @@ from raystream.structures.bvh.ray_groups.rays import (
     LAST_LANE,
     LISTS_AT,
     MEMORY_BYTES,
+    PLACES_AT,
     copy_limits,
     load_block,
 )
@@ -127,7 +136,9 @@ def _visit_leaf(leaf, tree, child, rays, memory, small):
 
 @device
 def _load(memory, source, first, last, scene, wanted):
-    count, ray_count, group_count = load_block(memory, source, first, last, False)
+    count, ray_count, group_count = load_block(
+        memory, source, first, last, wanted.filter is not None
+    )
     _load_rays(memory, source, first, last)
     return count, ray_count, group_count
 
@@ -139,8 +150,14 @@ def _leaf(kind, memory):
 
 
 @device
+def _filter(wanted, memory):
+    places = GroupPlaces(memory + PLACES_AT, ZERO_U64, ZERO_U64)
+    return packet_filter(wanted.filter, places, ZERO_U64)
+
+
+@device
 def _nearest_leaf(wanted, memory):
-    return _leaf(nearest_kind(wanted.wants_any), memory)
+    return _leaf(nearest_kind(wanted.wants_any, _filter(wanted, memory)), memory)
 
 
 @device
@@ -148,7 +165,7 @@ def _counting_leaf(wanted, memory):
     # Of a collector, counting needs nothing else.
     hits = Collector(scratch(COLLECTOR_BYTES))
     hits.is_counting = ONE_U64
-    return _leaf(collecting_kind(wanted.surfaces, hits), memory)
+    return _leaf(collecting_kind(wanted.surfaces, _filter(wanted, memory), hits), memory)
 
 
 @device

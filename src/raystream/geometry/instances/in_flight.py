@@ -17,6 +17,7 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import scratch, store
 from raystream.jit.views import address_of, view
 from raystream.kernels.best import Best, best_views, offer_hits
+from raystream.kernels.hit_filter import may_enter
 from raystream.kernels.leaf_block import HITS, BlockLanes
 from raystream.kernels.ray import local_limit
 from raystream.kernels.ray_source import load_ray
@@ -65,12 +66,14 @@ def _start(slot, stack, i, source, frame, top, status):
 
 
 @device
-def _enter(slot, inner, stack, source, objects):
+def _enter(slot, inner, stack, source, objects, filter_):
     """Put a ray into the slot for objects, before the root of its next instance's object.
 
     Returns whether anything is to be searched there.
     """
     instance = InstanceRecord(leaf_address(slot.leaves, slot.child))
+    if not may_enter(filter_of(filter_, slot), instance.mask):
+        return False
     object_ = ObjectRecord(objects, np.uint64(instance.object_id))
     i = np.uint64(slot.ray)
     ray = load_ray(source, i, object_, instance)
@@ -201,7 +204,8 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, filter_,
         for j in range(waiting):
             k = item(instance, j)
             slot, own = _Slot(slots, k), k + IN_FLIGHT
-            if _enter(slot, _Slot(slots, own), stacks + own * STACK, source, top.objects):
+            inner, stack = _Slot(slots, own), stacks + own * STACK
+            if _enter(slot, inner, stack, source, top.objects, filter_):
                 node_count = append(node, node_count, own, ONE_U64)
                 continue
             is_node, is_leaf, is_end = next_child(slot, slot.top, stacks + k * STACK, slot, True)
