@@ -40,7 +40,6 @@ _PROGRAM = "programs and filters read triangles in float32"
 _FORMAT = "the format stores triangles of one local frame in float32"
 _PATCHES = "patches are of triangles, in one place each"
 _BOXES = "steps are shown for one tree over triangles"
-_COUNTS = "its traversal does not count"
 _SHADING = "shading reads triangles in float32"
 _SETS = "worlds are sets of instances"
 
@@ -80,7 +79,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "device='cuda', machine='branching'": Feature(_ALL, '``device="cuda"``'),
         "device='graphics', machine='compute'": Feature(_PLACED),
         "worlds": Feature(_PLACED, "``worlds=``", _SETS),
-        "counters=True": Feature((*_PLACED, *_PRIMITIVES), "``counters=True``", _COUNTS),
+        "counters=True": Feature(_ALL, "``counters=True``"),
         "on_hit, skip_prim_ids": Feature(_ALL, "``on_hit=``, ``skip_prim_ids=``"),
         "trace": Feature(_ALL, "`Tracer.trace`"),
         "mask": Feature((*_PLACED, *_PRIMITIVES), "``mask=``", _PROGRAM),
@@ -97,7 +96,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "materials that are not opaque": Feature(
             _ALL, "`render`, with materials that are not opaque"
         ),
-        "heatmap": Feature(("instances", *_PRIMITIVES), "`heatmap`", _COUNTS),
+        "heatmap": Feature(_ONE_WORLD, "`heatmap`", _SETS),
         "lidar_returns": Feature(_ONE_WORLD, "`lidar_returns`, `lidar_sweep`"),
         "thickness": Feature(_ONE_WORLD, "`thickness`"),
         "visibility": Feature(_ONE_WORLD, "`visibility` between points"),

@@ -17,6 +17,7 @@ from raystream.jit.cpu import device
 from raystream.kernels.queries import RaySearches, note_status
 from raystream.kernels.ray_source import loader, read_float64_ray
 from raystream.kernels.search import begin_search, is_full, wants_any
+from raystream.kernels.tally import tally_of
 
 _MISS = np.int32(-1)
 
@@ -81,7 +82,8 @@ def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
     def nearest(i, scene, hits, memory):
         ray, stack = _load_ray(i, scene), memory + np.uint64(LANES_BYTES)
         best = no_hit(ray.line.t_max)
-        best = walk_nearest(scene.arrays, (ray, memory), best, stack, False)
+        line = ray, memory, tally_of(scene.tallies, i)
+        best = walk_nearest(scene.arrays, line, best, stack, False)
         write_nearest(hits, i, best, ray.line, ray)
         return np.uint64(best.triangle != ZERO_U64)
 
@@ -89,7 +91,8 @@ def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
     def search_ray(i, scene, goal, memory):
         ray, stack = _load_ray(i, scene), memory + np.uint64(LANES_BYTES)
         search = begin_search(ray.line.t_min, ray.line.t_max, goal, None, None, None)
-        return walk_hits(scene.arrays, (ray, memory), search, stack, wants_any(search)), ray
+        line = ray, memory, tally_of(scene.tallies, i)
+        return walk_hits(scene.arrays, line, search, stack, wants_any(search)), ray
 
     @device
     def count(i, scene, goal, memory):
