@@ -131,6 +131,13 @@ class Instances:
         for array in (self.object_ids, self.transforms, self.inverses, self.conditions):
             array.flags.writeable = False
 
+    @property
+    def sides(self) -> NDArray[np.float64]:
+        """Shape (K,): -1 for instances that are mirrored, else 1."""
+        linear = self.transforms[:, :, :3]
+        largest = np.abs(linear).max(axis=(1, 2), keepdims=True, initial=0.0)
+        return np.asarray(np.sign(np.linalg.det(linear / largest)), np.float64)
+
     def moved(self, transforms: Any) -> Instances:
         """The same objects, elsewhere.
 

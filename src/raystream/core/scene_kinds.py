@@ -35,12 +35,9 @@ _ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
 
 # Why a kind of scene lacks a feature.
 _TRIANGLES = "written for triangles of one local frame in float32"
-_NEAREST = "distances to it are not written"
 _PROGRAM = "programs and filters read triangles in float32"
 _FORMAT = "the format stores triangles of one local frame in float32"
-_PATCHES = "patches are of triangles, in one place each"
 _BOXES = "steps are shown for one tree over triangles"
-_SHADING = "shading reads triangles in float32"
 _SETS = "worlds are sets of instances"
 
 
@@ -105,7 +102,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "out": Feature(_ALL, "`visibility` with ``out=``"),
         "cutouts=True, with surfaces that are not opaque": Feature(_ALL, "cut-outs in analyses"),
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
-        "view_factors": Feature(("fields", "float64"), "`view_factors`", _PATCHES),
+        "view_factors": Feature(_ONE_WORLD, "`view_factors`"),
         "closest points with device='cpu'": Feature(
             _ONE_WORLD, '`closest_point`, `signed_distance`, with ``device="cpu"``'
         ),
