@@ -204,7 +204,7 @@ class _Worker:
         self.overlaps: set[tuple[int, int]] = set()
         structure: Any = tracer.structure
         self._triangles: Any = structure.triangles
-        #: The triangles of meshes, where a mesh is looked at alone.
+        #: The triangles of meshes as solids: where a mesh is looked at alone.
         self._meshes: Any = self._triangles
         is_placed = self._triangles.instances is not None
         placed = PlacedSolids.of(structure) if is_placed else None
@@ -213,8 +213,11 @@ class _Worker:
         if self._triangles.has_primitives:
             self._meshes = self._triangles.triangles
             self.solids: Solids = solids_with(self._triangles)
+        elif placed is None:
+            self._meshes = self._triangles.solid_parts()[0].triangles
+            self.solids = solids_of(self._meshes)
         else:
-            self.solids = solids_of(self._triangles) if placed is None else placed.solids
+            self.solids = placed.solids
         opacity = cutouts_of(tracer, rules.cutouts, self.solids.is_closed)
         self._on_hit = opacity and opacity.on_hit
 
