@@ -75,6 +75,7 @@ def thickness(
     ends: Literal["report", "clip"] = "report",
     cutouts: bool = True,
     nested: Literal["both", "inner"] = "both",
+    worlds: Any = None,
     progress: Progress | None = None,
 ) -> Thickness:
     """Find where rays enter and leave closed meshes.
@@ -98,6 +99,8 @@ def thickness(
         Where meshes overlap, as a pipe in concrete does that has no hole for it: give each of
         them its whole segment, with a `RaystreamWarning` that names some of the meshes; or let
         the inner one displace the others, so that segments do not overlap.
+    worlds : array_like that broadcasts to S, int, optional
+        As in `Tracer.first_hit`.
     progress : callable, optional
         Called with (rays done, rays).
 
@@ -154,6 +157,7 @@ def thickness(
         raise ValueError(f"nested: expected 'both' or 'inner', got {nested!r}")
     check_support("thickness", tracer.structure.triangles)
     batch = tracer.structure.ray_batch(origins, directions, t_min, t_max)
+    batch.worlds = tracer._world_ids(worlds, batch.shape)
     rules = Rules(ends == "clip", nested == "inner", cutouts)
     found, overlaps = find_segments(tracer, batch, rules, progress)
     if overlaps and nested == "both":
@@ -235,6 +239,7 @@ class _Worker:
                 t_max=np.inf if self._rules.clips else self._batch.t_max[rows],
                 crossings="surfaces",
                 on_hit=self._on_hit,
+                worlds=None if self._batch.worlds is None else self._batch.worlds[rows],
                 progress=part_of(progress, rows.start, rows.stop - rows.start, total),
             )
             yield rows, hits
