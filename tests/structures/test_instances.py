@@ -586,10 +586,6 @@ def test_what_is_not_supported_says_so() -> None:
     for options in ({"structure": "grid"}, {"machine": "multipass"}):
         with pytest.raises(ValueError, match=r"scene.flattened\(\)"):
             rs.Tracer(scene, **options)
-    tracer = rs.Tracer(scene)
-    for ask in (lambda: rs.view_factors(tracer, rays=64),):
-        with pytest.raises(rs.RaystreamError, match=r"scene.flattened\(\)"):
-            ask()
 
 
 @pytest.mark.parametrize("thinness", [1e-3, 1e-6, 1e-8])

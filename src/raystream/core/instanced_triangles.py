@@ -318,6 +318,12 @@ class InstancedTriangles(Store):
             corners[rows] = self.objects[k].corners[prims[rows] - self.first_prims[k]]
         return corners.reshape(*prim_id.shape, 3, 3)
 
+    def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+        """See `Store.local_corners`."""
+        prim_id, instance_id = self.split_ids(numbers.astype(np.int32))
+        corners = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
+        return (corners - self.center) * self.scale
+
     def points_to_world(
         self, points: NDArray[np.float64], instance_id: NDArray[np.int32]
     ) -> NDArray[np.float64]:

@@ -193,9 +193,12 @@ class Store:
         corners = self.corners_at(hits.prim_id, hits.instance_id)
         return self.normals_to_world(self.local_normals(hits), hits.instance_id), size_of(corners)
 
-    def local_corners(self, prim_ids: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
-        """Corners of triangles in the local frame, shape (N, 3, 3), float64; NaN without any."""
-        ids = prim_ids.astype(np.int32)
+    def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+        """Corners of triangles in the scene's local frame, shape (N, 3, 3); NaN without any.
+
+        Their numbers are those of `numbers_of`.
+        """
+        ids = numbers.astype(np.int32)
         return self.corners_at(ids, np.zeros_like(ids))
 
     def local_positions(self, hits: HitColumns) -> NDArray[np.float64]:

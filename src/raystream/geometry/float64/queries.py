@@ -18,6 +18,7 @@ from raystream.jit.cpu import device
 from raystream.kernels.queries import RaySearches, note_status
 from raystream.kernels.ray_source import loader, read_float64_ray
 from raystream.kernels.search import begin_search, is_full, wants_any
+from raystream.kernels.tally import tally_of
 
 _MISS = np.int32(-1)
 
@@ -111,7 +112,8 @@ def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
     def nearest(i, scene, hits, memory):
         ray, stack = _load_ray(i, scene), memory + np.uint64(LANES_BYTES)
         search = _with_filter(no_hit(ray.line.t_max), filter_of(scene.filter, i, ray))
-        best = walk_nearest(scene.arrays, (ray, memory), search, stack, False).found
+        line = ray, memory, tally_of(scene.tallies, i)
+        best = walk_nearest(scene.arrays, line, search, stack, False).found
         write_nearest(hits, i, best, ray.line, ray)
         return np.uint64(best.triangle != ZERO_U64)
 
@@ -120,7 +122,8 @@ def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
         ray, stack = _load_ray(i, scene), memory + np.uint64(LANES_BYTES)
         found = begin_search(ray.line.t_min, ray.line.t_max, goal, None, None, None)
         search = _with_filter(found, filter_of(scene.filter, i, ray))
-        search = walk_hits(scene.arrays, (ray, memory), search, stack, wants_any(found))
+        line = ray, memory, tally_of(scene.tallies, i)
+        search = walk_hits(scene.arrays, line, search, stack, wants_any(found))
         return search.found, ray
 
     @device
