@@ -177,6 +177,7 @@ def by_kind(
     nearest: BatchKernels,
     all_hits: tuple[BatchKernel, BatchKernel],
     suited: Suited | None = None,
+    in_flight: tuple[BatchKernel, BatchKernel] | None = None,
 ) -> dict[Kind, BatchKernels]:
     """A structure's kernels by the kind of query.
 
@@ -188,9 +189,14 @@ def by_kind(
         By packets: for all hits, and for their numbers.
     suited : callable, optional
         See `BatchKernels`, for these two [default: that of `nearest`].
+    in_flight : tuple of two BatchKernel, optional
+        The same for rays in flight.
     """
     suited, few = suited or nearest.suited, nearest.few
-    visited, counted = (BatchKernels({"packet": one}, suited, few) for one in all_hits)
+    tables = [{"packet": one} for one in all_hits]
+    for table, kernel in zip(tables, in_flight or (), strict=False):
+        table["wavefront"] = kernel
+    visited, counted = (BatchKernels(table, suited, few) for table in tables)
     return {
         Kind.FIRST_HIT: nearest,
         Kind.ANY_HIT: nearest,

@@ -2,45 +2,48 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from raystream.core.query import Kind
-from raystream.geometry.primitives.in_flight import PrimitiveTrees, trace_primitive_wavefront
+from raystream.geometry.primitives.in_flight import (
+    PrimitiveTrees,
+    primitive_wavefront,
+    trace_primitive_wavefront,
+)
 from raystream.geometry.primitives.packets import PRIMITIVES
 from raystream.jit.constants import ZERO_U64
 from raystream.structures.batch_kernels import (
     Batch,
-    BatchKernel,
     BatchKernels,
-    Calls,
     by_kind,
 )
 from raystream.structures.bvh.batches import (
     CACHED_BYTES,
     IN_FLIGHT_SIZE,
     SMALL_BATCH,
+    nearest_in_flight,
     nearest_kernel,
 )
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
 from raystream.structures.bvh.packets.queries import NEAREST, packet_kernel
+from raystream.structures.bvh.walks.all_hits import all_hits_in_flight
 
 if TYPE_CHECKING:
     from raystream.geometry.primitives.structure import PrimitiveBvh
 
 
-def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
+def _scene_of(scene: PrimitiveBvh, batch: Batch) -> tuple[Any, ...]:
     held = scene.view
     others = held._replace(sphere_nodes=ZERO_U64)
     trees = PrimitiveTrees(held.sphere_nodes, held.sphere_blocks, others)
-    rays = trees, scene.frame, batch.source
-    shared = batch.wants_any, True, batch.query.on_hit, batch.results
-    return trace_primitive_wavefront, (*rays, *shared)
+    return trees, scene.frame, batch.source, True
 
 
 _PACKET = nearest_kernel(packet_kernel(PRIMITIVES, NEAREST))
-_IN_FLIGHT = BatchKernel(_wavefront, IN_FLIGHT_SIZE, by_packets=False)
+_IN_FLIGHT = nearest_in_flight(trace_primitive_wavefront, _scene_of, IN_FLIGHT_SIZE)
 _ALL_HITS = all_hits_kernels(PRIMITIVES)
+_ALL_IN_FLIGHT = all_hits_in_flight(primitive_wavefront, _scene_of, IN_FLIGHT_SIZE)
 
 
 def batch_kernels(sphere_bytes: int) -> dict[Kind, BatchKernels]:
@@ -58,4 +61,4 @@ def batch_kernels(sphere_bytes: int) -> dict[Kind, BatchKernels]:
 
     in_flight = {"wavefront": _IN_FLIGHT} if sphere_bytes else {}
     nearest = BatchKernels({"packet": _PACKET, **in_flight}, suited, SMALL_BATCH)
-    return by_kind(nearest, _ALL_HITS)
+    return by_kind(nearest, _ALL_HITS, in_flight=_ALL_IN_FLIGHT if sphere_bytes else None)

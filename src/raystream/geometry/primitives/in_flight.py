@@ -6,7 +6,7 @@ is too small a tree to wait for memory often.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,14 @@ from raystream.kernels.ray import prepare_ray
 from raystream.kernels.ray_source import load_ray
 from raystream.kernels.search import Search, SearchGoal
 from raystream.structures.bvh.node_layout import leaf_address, t_key
-from raystream.structures.bvh.walks.in_flight import NO_PRIM, SLOT, filter_of, wavefront_kernel
+from raystream.structures.bvh.walks.all_hits import SlotSearches
+from raystream.structures.bvh.walks.in_flight import (
+    NO_PRIM,
+    SLOT,
+    filter_of,
+    finish_ray,
+    wavefront_kernel,
+)
 
 _T, _U, _V, _PRIM_ID = (np.uint64(SLOT.fields[k][1]) for k in ("t", "u", "v", "prim_id"))  # type: ignore[index]
 
@@ -53,33 +60,46 @@ def _rays(slot, frame, source):
 
 
 @device
-def _search_of(slot, filter_):
-    """A search that continues a slot's, and keeps its hits there."""
+def _begin_nearest(slot, wanted, instance):
     at = address_of(slot)
     hits = HitAddresses(at + _T, at + _U, at + _V, at + _PRIM_ID)
     # It has a hit already: if of no primitive, at the end of the interval.
-    goal = SearchGoal(ONE_U64, hits, ZERO_U64, False)
-    return Search(slot.t_min, slot.t, ONE_U64, goal, None, filter_of(filter_, slot), None)
+    goal, own = SearchGoal(ONE_U64, hits, ZERO_U64, False), filter_of(wanted.filter, slot)
+    return Search(slot.t_min, slot.t, ONE_U64, goal, None, own, instance)
 
 
 @device
-def _visit_spheres(slot, tree, frame, source, lanes, wants_any, filter_):  # noqa: ARG001
-    """Test the spheres of the next leaf; returns whether the ray is done."""
-    (ray, exact), block = _rays(slot, frame, source), leaf_address(tree.leaves, slot.child)
-    intersect_spheres(block, ray, exact, _search_of(slot, filter_))
+def _end_nearest(slot, search, wanted):  # noqa: ARG001
     slot.t_key = t_key(slot.t)
-    return wants_any and slot.prim_id != NO_PRIM
+    return wanted.wants_any and slot.prim_id != NO_PRIM
 
 
-@device
-def _search_others(slot, tree, frame, source, wants_any, filter_):
-    """Search the other trees for a slot's ray, which has been through the spheres'."""
-    if slot.ray < np.int64(0) or (wants_any and slot.prim_id != NO_PRIM):
-        return
-    ray, exact = _rays(slot, frame, source)
-    search = _search_of(slot, filter_)
-    traverse_trees(RayScene(tree.others, exact), ray, search, scratch(STACK_BYTES))
+#: Of rays whose nearest or any hits are kept in their slots, for a `NearestWanted`.
+_NEAREST = SlotSearches(_begin_nearest, _end_nearest, finish_ray)
 
 
-#: Through the trees of `PrimitiveTrees`.
-trace_primitive_wavefront = wavefront_kernel(_visit_spheres, _search_others)
+def primitive_wavefront(searches: SlotSearches) -> Any:
+    """The kernel of some searches through `PrimitiveTrees`."""
+    begin, end, finish = searches
+
+    @device
+    def visit_spheres(slot, tree, frame, source, lanes, wanted):  # noqa: ARG001
+        (ray, exact), block = _rays(slot, frame, source), leaf_address(tree.leaves, slot.child)
+        search = intersect_spheres(block, ray, exact, begin(slot, wanted, None))
+        return end(slot, search, wanted)
+
+    @device
+    def search_others(slot, tree, frame, source, wanted):
+        """Search the other trees for a slot's ray, which has been through the spheres'."""
+        if slot.ray < np.int64(0) or (wanted.wants_any and slot.prim_id != NO_PRIM):
+            return
+        ray, exact = _rays(slot, frame, source)
+        memory, search = scratch(STACK_BYTES), begin(slot, wanted, None)
+        search = traverse_trees(RayScene(tree.others, exact), ray, search, memory)
+        end(slot, search, wanted)
+
+    return wavefront_kernel(visit_spheres, finish, search_others)
+
+
+#: The nearest or any hits, for a `NearestWanted`.
+trace_primitive_wavefront = primitive_wavefront(_NEAREST)

@@ -27,7 +27,7 @@ from raystream.structures.bvh.packets.hits import (
     Collector,
     Ends,
     has_room,
-    sort_packet,
+    sort_by_ray,
 )
 from raystream.structures.bvh.packets.queries import PacketAnswer, PacketScene, packet_kernel
 from raystream.structures.bvh.packets.rays import (
@@ -43,7 +43,7 @@ from raystream.structures.bvh.packets.rays import (
 if TYPE_CHECKING:
     from raystream.structures.base import Structure
 
-_LANES = np.uint64(16)
+_LANES, _RAYS = np.uint64(16), np.uint64(PACKET_RAYS)
 _LANE = np.uint64(4)
 
 #: Where the ends of a packet's rows are, behind its collector.
@@ -165,7 +165,7 @@ def store_rows(packet, number, slow_groups, source, scene, wanted, state):
     if not has_room(hits) or (sorts and used + count > buffers.capacity):
         return False
     if sorts:
-        buffers.used = sort_packet(hits, Ends(state + _ENDS_AT), used)
+        buffers.used = sort_by_ray(buffers, count, state + _ENDS_AT, _RAYS, used, True)
         _finish_rows(packet, number, order, slow_groups, state, used, buffers)
         return True
     if slow_groups != ZERO_U64:
