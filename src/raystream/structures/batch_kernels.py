@@ -177,7 +177,7 @@ def by_kind(
     nearest: BatchKernels,
     all_hits: tuple[BatchKernel, BatchKernel],
     suited: Suited | None = None,
-    in_flight: tuple[BatchKernel, BatchKernel] | None = None,
+    others: Mapping[str, tuple[BatchKernel, BatchKernel]] | None = None,
 ) -> dict[Kind, BatchKernels]:
     """A structure's kernels by the kind of query.
 
@@ -189,13 +189,12 @@ def by_kind(
         By packets: for all hits, and for their numbers.
     suited : callable, optional
         See `BatchKernels`, for these two [default: that of `nearest`].
-    in_flight : tuple of two BatchKernel, optional
-        The same for rays in flight.
+    others : mapping of str to tuple of two BatchKernel, optional
+        The same by other kernels, by name.
     """
     suited, few = suited or nearest.suited, nearest.few
-    tables = [{"packet": one} for one in all_hits]
-    for table, kernel in zip(tables, in_flight or (), strict=False):
-        table["wavefront"] = kernel
+    named = {"packet": all_hits, **(others or {})}
+    tables = ({name: pair[k] for name, pair in named.items()} for k in range(2))
     visited, counted = (BatchKernels(table, suited, few) for table in tables)
     return {
         Kind.FIRST_HIT: nearest,

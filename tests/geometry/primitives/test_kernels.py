@@ -163,6 +163,4 @@ def test_kernels_suit_the_rays(monkeypatch, query, count, kernel) -> None:
     rays = {"origins": [0.0, 0.0, 4.0], "directions": directions}
     assert kernels_called(monkeypatch, tracer, query, rays) == ["packet"]
     anywhere = {"origins": rng.uniform(-1, 1, (3000, 3)), "directions": rng.normal(size=(3000, 3))}
-    is_nearest = query in ("first_hit", "any_hit")
-    expected = [kernel] if is_nearest else ["single"]
-    assert kernels_called(monkeypatch, tracer, query, anywhere) == expected
+    assert kernels_called(monkeypatch, tracer, query, anywhere) == [kernel]

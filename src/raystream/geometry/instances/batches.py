@@ -67,5 +67,5 @@ BATCH_KERNELS = by_kind(
     BatchKernels(_KERNELS, _suited, _FEW),
     all_hits_kernels(INSTANCES),
     _suited_to_all,
-    _ALL_IN_FLIGHT,
+    {"wavefront": _ALL_IN_FLIGHT},
 )

@@ -59,6 +59,8 @@ def batch_kernels(sphere_bytes: int) -> dict[Kind, BatchKernels]:
         is_packet = choose_kernel(coherence, count, byte_count) == "packet"
         return ("packet",) if is_packet else (otherwise,)
 
-    in_flight = {"wavefront": _IN_FLIGHT} if sphere_bytes else {}
-    nearest = BatchKernels({"packet": _PACKET, **in_flight}, suited, SMALL_BATCH)
-    return by_kind(nearest, _ALL_HITS, in_flight=_ALL_IN_FLIGHT if sphere_bytes else None)
+    if not sphere_bytes:
+        return by_kind(BatchKernels({"packet": _PACKET}, suited, SMALL_BATCH), _ALL_HITS)
+    kernels = {"packet": _PACKET, "wavefront": _IN_FLIGHT}
+    nearest = BatchKernels(kernels, suited, SMALL_BATCH)
+    return by_kind(nearest, _ALL_HITS, others={"wavefront": _ALL_IN_FLIGHT})

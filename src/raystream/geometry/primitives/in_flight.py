@@ -12,8 +12,8 @@ import numpy as np
 
 from raystream.geometry.primitives.records import PrimitiveAddresses
 from raystream.geometry.primitives.traversal import STACK_BYTES, RayScene, traverse_trees
-from raystream.geometry.spheres.sphere import intersect_spheres, load_exact
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.geometry.spheres.sphere import ExactRay, intersect_spheres, load_exact
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import scratch
 from raystream.jit.views import address_of
@@ -30,6 +30,12 @@ from raystream.structures.bvh.walks.in_flight import (
     finish_ray,
     wavefront_kernel,
 )
+
+#: A ray in flight with its slabs in the order of the world's axes, and in float64. Both take longer
+#: to compute for each leaf than to load.
+_EXACT = [("origin", "f8", 3), ("direction", "f8", 3), ("inv_square", "f8"), ("offset", "f8")]
+_SLABS = [(f"{name}_{axis}", "f4") for name in ("inv", "near", "far") for axis in "xyz"]
+_SLOT = np.dtype([*SLOT.descr, ("exact", _EXACT), *_SLABS, ("_unused", "V28")])
 
 _T, _U, _V, _PRIM_ID = (np.uint64(SLOT.fields[k][1]) for k in ("t", "u", "v", "prim_id"))  # type: ignore[index]
 
@@ -51,12 +57,22 @@ class PrimitiveTrees(NamedTuple):
 
 
 @device
-def _rays(slot, frame, source):
-    """The `Ray` and the `ExactRay` of a slot, loaded again: they would take cache lines."""
-    i = np.uint64(slot.ray)
-    ray, offset = load_ray(source, i, frame), slot.t_offset / slot.t_scale
+def _begin_ray(slot, i, ray, frame, source):
+    """Write what the test of spheres takes; see `walks.in_flight.wavefront_kernel`."""
     local = prepare_ray(ray.origin, ray.direction, frame.max_coordinate)
-    return local, load_exact(source, i, offset, frame)
+    slot.inv_x, slot.inv_y, slot.inv_z = local.inv_x, local.inv_y, local.inv_z
+    slot.near_x, slot.near_y, slot.near_z = local.near_x, local.near_y, local.near_z
+    slot.far_x, slot.far_y, slot.far_z = local.far_x, local.far_y, local.far_z
+    own, exact = slot.exact, load_exact(source, i, ray.t_offset / ray.t_scale, frame)
+    own.origin, own.direction = exact.origin, exact.direction
+    own.inv_square, own.offset = exact.inv_square, exact.offset
+
+
+@device
+def _exact_of(slot, frame):
+    own = slot.exact
+    scale = np.float64(frame.scale)
+    return ExactRay(own.origin, own.direction, own.inv_square, own.offset, frame.center, scale)
 
 
 @device
@@ -84,21 +100,25 @@ def primitive_wavefront(searches: SlotSearches) -> Any:
 
     @device
     def visit_spheres(slot, tree, frame, source, lanes, wanted):  # noqa: ARG001
-        (ray, exact), block = _rays(slot, frame, source), leaf_address(tree.leaves, slot.child)
-        search = intersect_spheres(block, ray, exact, begin(slot, wanted, None))
+        block, exact = leaf_address(tree.leaves, slot.child), _exact_of(slot, frame)
+        search = intersect_spheres(block, slot, exact, begin(slot, wanted, None))
         return end(slot, search, wanted)
 
     @device
     def search_others(slot, tree, frame, source, wanted):
         """Search the other trees for a slot's ray, which has been through the spheres'."""
+        others = tree.others
+        if others.nodes == NULL and others.field_count == ZERO_U64:
+            return
         if slot.ray < np.int64(0) or (wanted.wants_any and slot.prim_id != NO_PRIM):
             return
-        ray, exact = _rays(slot, frame, source)
+        ray = load_ray(source, np.uint64(slot.ray), frame)
+        local = prepare_ray(ray.origin, ray.direction, frame.max_coordinate)
         memory, search = scratch(STACK_BYTES), begin(slot, wanted, None)
-        search = traverse_trees(RayScene(tree.others, exact), ray, search, memory)
+        search = traverse_trees(RayScene(others, _exact_of(slot, frame)), local, search, memory)
         end(slot, search, wanted)
 
-    return wavefront_kernel(visit_spheres, finish, search_others)
+    return wavefront_kernel(visit_spheres, finish, search_others, _begin_ray, _SLOT)
 
 
 #: The nearest or any hits, for a `NearestWanted`.

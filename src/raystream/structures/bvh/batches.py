@@ -96,5 +96,5 @@ _FIRST_OR_ANY = BatchKernels(_NEAREST, _suited, SMALL_BATCH, "wavefront")
 BATCH_KERNELS = by_kind(
     _FIRST_OR_ANY,
     all_hits_kernels(TREES),
-    in_flight=all_hits_in_flight(triangles_in_flight, _scene_of, IN_FLIGHT_SIZE),
+    others={"wavefront": all_hits_in_flight(triangles_in_flight, _scene_of, IN_FLIGHT_SIZE)},
 )

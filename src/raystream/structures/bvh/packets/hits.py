@@ -15,7 +15,7 @@ from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import compress, i32x16, lane_numbers, load, mask_bits, popcount, store
 from raystream.jit.views import view
 from raystream.kernels.search import ROW_SHIFT, get_hit, is_before, put_hit, sort_hits
-from raystream.structures.bvh.packets.rays import GROUPS, PACKET_RAYS
+from raystream.structures.bvh.packets.rays import PACKET_RAYS
 
 #: Addresses of buffers: hits in the order of discovery, sorted hits, their rays and the ends of the
 #: rays' rows; then the capacity in hits, and what is in use: hits, and rays if hits are sorted.
@@ -24,6 +24,9 @@ _ROWS = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8")])
 _NUMBERS = "ray_ids", "splits", "capacity", "used", "ray_count"
 Buffers = view([("found", _FOUND), ("rows", _ROWS), *((name, "u8") for name in _NUMBERS)])
 
+#: Groups of a packet, or of a block of them.
+_MOST_GROUPS = 256
+
 _COLLECTOR = np.dtype(
     [
         ("buffers", "u8"),  # their address
@@ -31,7 +34,7 @@ _COLLECTOR = np.dtype(
         ("capacity", "u8"),  # of the buffers
         ("is_counting", "u8"),  # whether hits are counted only
         ("in_world", "u8"),  # whether to convert t to world direction lengths
-        ("first_rays", "i4", (int(GROUPS), 1)),  # index of each group's first ray
+        ("first_rays", "i4", (_MOST_GROUPS, 1)),  # index of each group's first ray
     ]
 )
 Collector = view(_COLLECTOR)

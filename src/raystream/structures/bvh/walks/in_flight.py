@@ -90,7 +90,6 @@ SLOT = np.dtype(
         ("unused", "V8"),
     ]
 )
-Slot = view(SLOT)
 
 #: Bytes of a ray's stack: keys, and behind them children, each with room for the eight lanes that
 #: are always stored.
@@ -100,7 +99,7 @@ STACK = _CHILDREN + _CHILDREN
 #: Bytes of a queue of slots, with room for the one that is always stored.
 QUEUE_BYTES = int(IN_FLIGHT * BYTES_64 + _LINE)
 
-_SLOTS_BYTES, _STACKS_BYTES = int(IN_FLIGHT) * SLOT.itemsize, int(IN_FLIGHT * STACK)
+_STACKS_BYTES = int(IN_FLIGHT * STACK)
 _HITS_BYTES = HITS.itemsize
 
 
@@ -281,7 +280,12 @@ def _complete(slot, tree, frame, source, wanted):
     """The `complete` of a scene with one tree."""
 
 
-def wavefront_kernel(visit_leaf, finish, complete=_complete):
+@device
+def _begin(slot, i, ray, frame, source):
+    """The `begin` of a slot that holds no more than a `SLOT`."""
+
+
+def wavefront_kernel(visit_leaf, finish, complete=_complete, begin_ray=_begin, record=SLOT):
     """Make the kernel for rays in flight.
 
     Parameters
@@ -296,6 +300,11 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete):
     complete : device function
         ``complete(slot, tree, frame, source, wanted)`` searches for the ray of a slot, if it has
         one, what else is in the scene [default: nothing].
+    begin_ray : device function
+        ``begin_ray(slot, i, ray, frame, source)`` writes what a slot holds besides, of a
+        `LocalRay` [default: nothing].
+    record : dtype
+        A slot's.
 
     Returns
     -------
@@ -312,10 +321,11 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete):
         wanted : NamedTuple
             As the functions take it, with ``out``, a `ResultAddresses`.
     """
+    slot_view, slots_bytes = view(record), int(IN_FLIGHT) * record.itemsize
 
     @kernel
     def trace_wavefront(begin, end, tree, frame, source, prefetching, wanted):
-        slots, stacks = scratch(_SLOTS_BYTES), scratch(_STACKS_BYTES)
+        slots, stacks = scratch(slots_bytes), scratch(_STACKS_BYTES)
         lanes = scratch(_HITS_BYTES)
         # Slots by what their rays need next: a node, a leaf, or nothing more.
         node, leaf, done = scratch(QUEUE_BYTES), scratch(QUEUE_BYTES), scratch(QUEUE_BYTES)
@@ -323,13 +333,13 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete):
         ray_next, ray_end = np.uint64(begin), np.uint64(end)
         for k in range(IN_FLIGHT):
             done_count = append(done, done_count, k, ONE_U64)
-            Slot(slots, k).ray = NO_RAY
+            slot_view(slots, k).ray = NO_RAY
 
         while True:
             # Step 1: write the results of finished slots and start new rays in them.
             for j in range(done_count):
                 k = item(done, j)
-                slot = Slot(slots, k)
+                slot = slot_view(slots, k)
                 complete(slot, tree, frame, source, wanted)
                 finish(slot, wanted)
                 if ray_next < ray_end:
@@ -337,6 +347,7 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete):
                     if ray.status == INVALID:
                         store(wanted.out.status + ray_next, INVALID)
                     start_ray(slot, stacks + k * STACK, ray_next, ray, frame.max_coordinate)
+                    begin_ray(slot, ray_next, ray, frame, source)
                     ray_next += ONE_U64
                     node_count = append(node, node_count, k, ONE_U64)
             done_count = ZERO_U64
@@ -348,7 +359,7 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete):
             waiting, node_count = node_count, ZERO_U64
             for j in range(waiting):
                 k = item(node, j)
-                slot, stack = Slot(slots, k), stacks + k * STACK
+                slot, stack = slot_view(slots, k), stacks + k * STACK
                 top = visit_node(slot, tree.nodes, stack)
                 is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching)
                 node_count = append(node, node_count, k, is_node)
@@ -359,7 +370,7 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete):
             waiting, leaf_count = leaf_count, ZERO_U64
             for j in range(waiting):
                 k = item(leaf, j)
-                slot, stack = Slot(slots, k), stacks + k * STACK
+                slot, stack = slot_view(slots, k), stacks + k * STACK
                 is_done = visit_leaf(slot, tree, frame, source, lanes, wanted)
                 top = LANE if is_done else slot.top
                 is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching)
