@@ -16,7 +16,12 @@ from raystream.structures.batch_kernels import (
     CallSize,
     by_kind,
 )
-from raystream.structures.bvh.batches import NEAREST_SIZE, nearest_in_flight, nearest_kernel
+from raystream.structures.bvh.batches import (
+    NEAREST_SIZE,
+    in_flight_if_large,
+    nearest_in_flight,
+    nearest_kernel,
+)
 from raystream.structures.bvh.coherence import Coherence
 from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
 from raystream.structures.bvh.packets.queries import NEAREST, packet_kernel
@@ -53,8 +58,8 @@ _KERNELS = {
 
 
 def _suited_to_all(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
-    del count, byte_count
-    return ("packet",) if coherence.narrow >= 0.5 else ("wavefront",)
+    del count
+    return ("packet",) if coherence.narrow >= 0.5 else (in_flight_if_large(byte_count),)
 
 
 _ALL_IN_FLIGHT = all_hits_in_flight(
