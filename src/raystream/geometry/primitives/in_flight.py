@@ -1,7 +1,6 @@
 """Many single rays in flight through a tree of spheres; see `structures.bvh.walks.in_flight`.
 
-Before its result is written, a ray is searched for triangles and height fields, by itself: a field
-is too small a tree to wait for memory often.
+Before its result is written, a ray is searched for triangles and height fields, by itself.
 """
 
 from __future__ import annotations
@@ -26,6 +25,8 @@ from raystream.structures.bvh.walks.all_hits import SlotSearches
 from raystream.structures.bvh.walks.in_flight import (
     NO_PRIM,
     SLOT,
+    WIDE,
+    TreeKind,
     filter_of,
     finish_ray,
     wavefront_kernel,
@@ -35,7 +36,7 @@ from raystream.structures.bvh.walks.in_flight import (
 #: to compute for each leaf than to load.
 _EXACT = [("origin", "f8", 3), ("direction", "f8", 3), ("inv_square", "f8"), ("offset", "f8")]
 _SLABS = [(f"{name}_{axis}", "f4") for name in ("inv", "near", "far") for axis in "xyz"]
-_SLOT = np.dtype([*SLOT.descr, ("exact", _EXACT), *_SLABS, ("_unused", "V28")])
+PRIMITIVE_SLOT = np.dtype([*SLOT.descr, ("exact", _EXACT), *_SLABS, ("_unused", "V28")])
 
 _T, _U, _V, _PRIM_ID = (np.uint64(SLOT.fields[k][1]) for k in ("t", "u", "v", "prim_id"))  # type: ignore[index]
 
@@ -46,9 +47,10 @@ class PrimitiveTrees(NamedTuple):
     Attributes
     ----------
     nodes, leaves : uint64
-        Addresses of the root of the spheres' tree and of the first `SphereBlock`.
+        Addresses of the root of the spheres' tree and of the first `SphereBlock`; or of a
+        `FieldRecord`, and nothing.
     others : PrimitiveAddresses
-        Without spheres.
+        Without these.
     """
 
     nodes: np.uint64
@@ -57,8 +59,8 @@ class PrimitiveTrees(NamedTuple):
 
 
 @device
-def _begin_ray(slot, i, ray, frame, source):
-    """Write what the test of spheres takes; see `walks.in_flight.wavefront_kernel`."""
+def begin_ray(slot, stack, i, ray, tree, frame, source):  # noqa: ARG001
+    """Write what boxes and spheres are tested with; see `walks.in_flight.TreeKind`."""
     local = prepare_ray(ray.origin, ray.direction, frame.max_coordinate)
     slot.inv_x, slot.inv_y, slot.inv_z = local.inv_x, local.inv_y, local.inv_z
     slot.near_x, slot.near_y, slot.near_z = local.near_x, local.near_y, local.near_z
@@ -91,24 +93,26 @@ def _end_nearest(slot, search, wanted):  # noqa: ARG001
 
 
 #: Of rays whose nearest or any hits are kept in their slots, for a `NearestWanted`.
-_NEAREST = SlotSearches(_begin_nearest, _end_nearest, finish_ray)
+NEAREST_IN_SLOT = SlotSearches(_begin_nearest, _end_nearest, finish_ray)
 
 
-def primitive_wavefront(searches: SlotSearches) -> Any:
-    """The kernel of some searches through `PrimitiveTrees`."""
+def primitive_wavefront(searches: SlotSearches, search_leaf: Any, kind: TreeKind) -> Any:
+    """Make the kernel of some searches through `PrimitiveTrees`.
+
+    ``search_leaf(slot, tree, frame, search) -> search`` offers the hits of the slot's next leaf.
+    """
     begin, end, finish = searches
 
     @device
-    def visit_spheres(slot, tree, frame, source, lanes, wanted):  # noqa: ARG001
-        block, exact = leaf_address(tree.leaves, slot.child), _exact_of(slot, frame)
-        search = intersect_spheres(block, slot, exact, begin(slot, wanted, None))
-        return end(slot, search, wanted)
+    def visit_leaf(slot, tree, frame, source, lanes, wanted):  # noqa: ARG001
+        return end(slot, search_leaf(slot, tree, frame, begin(slot, wanted, None)), wanted)
 
     @device
     def search_others(slot, tree, frame, source, wanted):
-        """Search the other trees for a slot's ray, which has been through the spheres'."""
+        """Search the other trees for a slot's ray, which has been through the one in flight."""
         others = tree.others
-        if others.nodes == NULL and others.field_count == ZERO_U64:
+        is_empty = others.nodes == NULL and others.sphere_nodes == NULL
+        if is_empty and others.field_count == ZERO_U64:
             return
         if slot.ray < np.int64(0) or (wanted.wants_any and slot.prim_id != NO_PRIM):
             return
@@ -118,8 +122,18 @@ def primitive_wavefront(searches: SlotSearches) -> Any:
         search = traverse_trees(RayScene(others, _exact_of(slot, frame)), local, search, memory)
         end(slot, search, wanted)
 
-    return wavefront_kernel(visit_spheres, finish, search_others, _begin_ray, _SLOT)
+    return wavefront_kernel(visit_leaf, finish, search_others, kind)
 
 
-#: The nearest or any hits, for a `NearestWanted`.
-trace_primitive_wavefront = primitive_wavefront(_NEAREST)
+@device
+def _search_spheres(slot, tree, frame, search):
+    block = leaf_address(tree.leaves, slot.child)
+    return intersect_spheres(block, slot, _exact_of(slot, frame), search)
+
+
+_SPHERES = WIDE._replace(record=PRIMITIVE_SLOT, begin=begin_ray)
+
+
+def spheres_in_flight(searches: SlotSearches) -> Any:
+    """The kernel of some searches with the spheres' tree in flight."""
+    return primitive_wavefront(searches, _search_spheres, _SPHERES)

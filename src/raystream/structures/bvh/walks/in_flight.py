@@ -8,6 +8,8 @@ on a single ray.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from raystream.core.rays import INVALID
@@ -93,8 +95,8 @@ SLOT = np.dtype(
 
 #: Bytes of a ray's stack: keys, and behind them children, each with room for the eight lanes that
 #: are always stored.
-_CHILDREN = np.uint64(4 * (STACK_SIZE + 16))
-STACK = _CHILDREN + _CHILDREN
+CHILDREN = np.uint64(4 * (STACK_SIZE + 16))
+STACK = CHILDREN + CHILDREN
 
 #: Bytes of a queue of slots, with room for the one that is always stored.
 QUEUE_BYTES = int(IN_FLIGHT * BYTES_64 + _LINE)
@@ -131,7 +133,7 @@ def start_ray(slot, stack, i, ray, max_coordinate):
     slot.child, slot.top = np.int32(0), LANE
     slot.ray, slot.t_scale, slot.t_offset = np.int64(i), ray.t_scale, ray.t_offset
     store(stack, _BOTTOM_KEY)
-    store(stack + _CHILDREN, _BOTTOM)
+    store(stack + CHILDREN, _BOTTOM)
 
 
 @device
@@ -172,7 +174,7 @@ def visit_node(slot, nodes, stack):
     key = sort_keys(select(entered, key, i32x8(_BOTTOM_KEY)))
     top = slot.top
     store(stack + top, key)
-    store(stack + _CHILDREN + top, permute(node.children, key))
+    store(stack + CHILDREN + top, permute(node.children, key))
     return top + (popcount(mask_bits(entered)) << np.uint64(2))
 
 
@@ -242,7 +244,13 @@ def _keep_nearest(slot, block, bits, lanes, filter_):
 
 
 @device
-def next_child(slot, top, stack, tree, prefetching):
+def _prefetch(slot, stack, tree):
+    """Prefetch a slot's next node or leaf."""
+    prefetch_child(slot.child, tree.nodes, tree.leaves)
+
+
+@device
+def next_child(slot, top, stack, tree, prefetching, prefetch=_prefetch):
     """Pop the nearest child within the search interval.
 
     Returns
@@ -254,10 +262,10 @@ def next_child(slot, top, stack, tree, prefetching):
     top -= LANE
     while load(np.int32, stack + top) > limit:
         top -= LANE
-    child = load(np.int32, stack + _CHILDREN + top)
+    child = load(np.int32, stack + CHILDREN + top)
     slot.child, slot.top = child, top
     if prefetching:
-        prefetch_child(child, tree.nodes, tree.leaves)
+        prefetch(slot, stack, tree)
     is_leaf, is_end = np.uint64(child < np.int32(0)), np.uint64(child == _BOTTOM)
     return (is_leaf | is_end) ^ ONE_U64, is_leaf, is_end
 
@@ -281,11 +289,41 @@ def _complete(slot, tree, frame, source, wanted):
 
 
 @device
-def _begin(slot, i, ray, frame, source):
-    """The `begin` of a slot that holds no more than a `SLOT`."""
+def _begin(slot, stack, i, ray, tree, frame, source):
+    """The `begin` of a tree whose rays need no more than a `SLOT`."""
 
 
-def wavefront_kernel(visit_leaf, finish, complete=_complete, begin_ray=_begin, record=SLOT):
+@device
+def _visit_node(slot, stack, tree):
+    return visit_node(slot, tree.nodes, stack)
+
+
+class TreeKind(NamedTuple):
+    """How rays in flight walk a kind of tree.
+
+    Attributes
+    ----------
+    record : dtype
+        Of a slot: `SLOT`, and what else the functions write and read.
+    begin : device function
+        ``begin(slot, stack, i, ray, tree, frame, source)`` does what is left to do for ray i, a
+        `LocalRay`, after `start_ray`.
+    visit_node, prefetch : device function
+        Of the next node: ``visit_node(slot, stack, tree)``, see `visit_node`, and
+        ``prefetch(slot, stack, tree)``, also of the next leaf, or of none.
+    """
+
+    record: np.dtype[Any]
+    begin: Any
+    visit_node: Any
+    prefetch: Any
+
+
+#: The wide tree.
+WIDE = TreeKind(SLOT, _begin, _visit_node, _prefetch)
+
+
+def wavefront_kernel(visit_leaf, finish, complete=_complete, kind=WIDE):
     """Make the kernel for rays in flight.
 
     Parameters
@@ -300,11 +338,7 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete, begin_ray=_begin, r
     complete : device function
         ``complete(slot, tree, frame, source, wanted)`` searches for the ray of a slot, if it has
         one, what else is in the scene [default: nothing].
-    begin_ray : device function
-        ``begin_ray(slot, i, ray, frame, source)`` writes what a slot holds besides, of a
-        `LocalRay` [default: nothing].
-    record : dtype
-        A slot's.
+    kind : TreeKind, optional
 
     Returns
     -------
@@ -313,7 +347,7 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete, begin_ray=_begin, r
         to end.
 
         tree : NamedTuple
-            With addresses of ``nodes``, not empty, and ``leaves``.
+            With addresses of ``nodes``, not empty, and ``leaves``, or what else `kind` takes.
         frame : SceneFrame
         source : RaySource
         prefetching : bool
@@ -321,7 +355,8 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete, begin_ray=_begin, r
         wanted : NamedTuple
             As the functions take it, with ``out``, a `ResultAddresses`.
     """
-    slot_view, slots_bytes = view(record), int(IN_FLIGHT) * record.itemsize
+    slot_view, slots_bytes = view(kind.record), int(IN_FLIGHT) * kind.record.itemsize
+    begin_ray, visit, prefetch = kind.begin, kind.visit_node, kind.prefetch
 
     @kernel
     def trace_wavefront(begin, end, tree, frame, source, prefetching, wanted):
@@ -346,8 +381,9 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete, begin_ray=_begin, r
                     ray = load_ray(source, ray_next, frame)
                     if ray.status == INVALID:
                         store(wanted.out.status + ray_next, INVALID)
-                    start_ray(slot, stacks + k * STACK, ray_next, ray, frame.max_coordinate)
-                    begin_ray(slot, ray_next, ray, frame, source)
+                    stack = stacks + k * STACK
+                    start_ray(slot, stack, ray_next, ray, frame.max_coordinate)
+                    begin_ray(slot, stack, ray_next, ray, tree, frame, source)
                     ray_next += ONE_U64
                     node_count = append(node, node_count, k, ONE_U64)
             done_count = ZERO_U64
@@ -360,8 +396,8 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete, begin_ray=_begin, r
             for j in range(waiting):
                 k = item(node, j)
                 slot, stack = slot_view(slots, k), stacks + k * STACK
-                top = visit_node(slot, tree.nodes, stack)
-                is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching)
+                top = visit(slot, stack, tree)
+                is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching, prefetch)
                 node_count = append(node, node_count, k, is_node)
                 leaf_count = append(leaf, leaf_count, k, is_leaf)
                 done_count = append(done, done_count, k, is_end)
@@ -373,7 +409,7 @@ def wavefront_kernel(visit_leaf, finish, complete=_complete, begin_ray=_begin, r
                 slot, stack = slot_view(slots, k), stacks + k * STACK
                 is_done = visit_leaf(slot, tree, frame, source, lanes, wanted)
                 top = LANE if is_done else slot.top
-                is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching)
+                is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching, prefetch)
                 node_count = append(node, node_count, k, is_node)
                 leaf_count = append(leaf, leaf_count, k, is_leaf)
                 done_count = append(done, done_count, k, is_end)
