@@ -169,7 +169,7 @@ def _finish(memory, source, first, last, top, group_count, wanted):
         group = Group(memory, g)
         group.t, group.t_scale = Merged(memory, g).t + ZERO_F32, f32x16(np.float32(1.0))
         set_slow(group)
-    finish_nearest(memory, source, first, last, top, group_count, wanted)
+    return finish_nearest(memory, source, first, last, top, group_count, wanted)
 
 
 #: The nearest or any hits of instances without worlds: `TopAddresses`, with a tree that is not
