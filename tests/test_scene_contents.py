@@ -113,10 +113,10 @@ FEATURES: dict[str, tuple[Callable[[rs.Tracer, Path], Any], str]] = {
     ),
     "visible_faces": (lambda t, _: rs.visible_faces(t, size=(8, 8)), "visible_faces"),
     "view_factors": (lambda t, _: rs.view_factors(t, rays=64), "view_factors"),
-    "closest_point": (lambda t, _: t.closest_point(POINTS), "closest points with device='cpu'"),
+    "closest_point": (lambda t, _: t.closest_point(POINTS), "closest points"),
     "signed_distance": (
         lambda t, _: t.signed_distance(POINTS, method="winding"),
-        "closest points with device='cpu', inside tests",
+        "closest points, inside tests",
     ),
     "contains": (lambda t, _: t.contains(POINTS, method="winding"), "inside tests"),
     "winding_number": (lambda t, _: t.winding_number(POINTS), "winding numbers"),
