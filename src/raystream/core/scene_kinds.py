@@ -107,9 +107,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "cutouts=True, with surfaces that are not opaque": Feature(_ALL, "cut-outs in analyses"),
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
         "view_factors": Feature(("fields", "float64"), "`view_factors`", _PATCHES),
-        "closest points with device='cpu'": Feature(
-            _ONE_WORLD, '`closest_point`, `signed_distance`, with ``device="cpu"``'
-        ),
+        "closest points": Feature(_ONE_WORLD, "`closest_point`, `signed_distance`"),
         "inside tests": Feature(
             _ONE_WORLD,
             "`contains`",
@@ -118,8 +116,8 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "winding numbers": Feature(_ONE_WORLD, "`winding_number`"),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
         "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
-        "raystream.torch": Feature((), "`raystream.torch`", _TRIANGLES),
-        "raystream.jax": Feature((), "`raystream.jax`", _TRIANGLES),
+        "raystream.torch": Feature(_ONE_WORLD, "`raystream.torch`"),
+        "raystream.jax": Feature(_ONE_WORLD, "`raystream.jax`"),
         "a cluster": Feature((), "clusters", _FORMAT),
         "walk": Feature((), "`raystream.stepper.walk`", _BOXES),
     }
