@@ -118,7 +118,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
         "raystream.torch": Feature(_ONE_WORLD, "`raystream.torch`"),
         "raystream.jax": Feature(_ONE_WORLD, "`raystream.jax`"),
-        "a cluster": Feature((), "clusters", _FORMAT),
+        "a cluster": Feature(_ONE_WORLD, "clusters", _SETS),
         "walk": Feature((), "`raystream.stepper.walk`", _BOXES),
     }
 )

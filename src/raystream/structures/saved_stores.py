@@ -45,7 +45,7 @@ def same_geometry(one: Store, other: Store) -> bool:
     )
 
 
-def _part(arrays: Arrays, name: str) -> dict[str, NDArray[Any]]:
+def part_of(arrays: Arrays, name: str) -> dict[str, NDArray[Any]]:
     """The arrays whose names begin with a word, by what follows it."""
     begin = f"{name}."
     return {
@@ -86,29 +86,38 @@ def _float64(arrays: Arrays) -> Float64Triangles:
 
 def _instances(arrays: Arrays) -> InstancedTriangles:
     objects: list[Triangles] = []
-    while own := _part(arrays, f"object{len(objects)}"):
+    while own := part_of(arrays, f"object{len(objects)}"):
         objects.append(_triangles(own))
-    placed = Instances(
+    splits = _splits(arrays, sum(map(len, objects)))
+    return InstancedTriangles(objects, instances_of(arrays), splits, Attributes(()))
+
+
+def instances_of(arrays: Arrays) -> Instances:
+    """The instances of `InstancedTriangles.saved_arrays`."""
+    return Instances(
         take(arrays, "object_ids", np.int32, (None,)),
         take(arrays, "transforms", np.float64, (None, 3, 4)),
         take(arrays, "worlds", np.int32, (None,)) if "worlds" in arrays else None,
     )
-    splits = _splits(arrays, sum(map(len, objects)))
-    return InstancedTriangles(objects, placed, splits, Attributes(()))
 
 
 def _primitives(arrays: Arrays) -> Primitives:
+    triangles = _triangles(part_of(arrays, "triangles"))
+    return Primitives(triangles, *primitives_of(arrays), Attributes(()))
+
+
+def primitives_of(arrays: Arrays) -> tuple[list[HeightField], Spheres]:
+    """The height fields and spheres of `Primitives.saved_arrays`."""
     fields: list[HeightField] = []
-    while own := _part(arrays, f"field{len(fields)}"):
+    while own := part_of(arrays, f"field{len(fields)}"):
         fields.append(_field(own))
-    own = _part(arrays, "spheres")
+    own = part_of(arrays, "spheres")
     spheres = Spheres.of(
         take(own, "centers", np.float64, (None, 3)),
         take(own, "radii", np.float64, (None,)),
         take(own, "material_ids", np.int32, (None,)),
     )
-    triangles = _triangles(_part(arrays, "triangles"))
-    return Primitives(triangles, fields, spheres, Attributes(()))
+    return fields, spheres
 
 
 def _field(arrays: Arrays) -> HeightField:
