@@ -1,4 +1,4 @@
-"""Derivatives of hits in scenes of all kinds, by central differences with what was hit held fixed."""
+"""Derivatives of hits in scenes of all kinds, by central differences: what was hit held fixed."""
 
 from __future__ import annotations
 

@@ -18,7 +18,10 @@ from raystream.cluster.bundles import Manifest
 from raystream.cluster.errors import ClusterError
 from raystream.cluster.tracer_bundles import pack_tracer, unpack_tracer
 
-RAYS = np.array([[278.0, 273.0, -800.0]]), np.random.default_rng(1).normal(size=(400, 3)) + [0, 0, 4]
+RAYS = (
+    np.array([[278.0, 273.0, -800.0]]),
+    np.random.default_rng(1).normal(size=(400, 3)) + [0, 0, 4],
+)
 HITS = ("t", "u", "v", "prim_id", "instance_id", "status", "mesh_id", "positions", "normals")
 
 
@@ -58,7 +61,8 @@ def test_workers_have_the_same_tracer(kind) -> None:
     make, precision = KINDS[kind]
     tracer = rs.Tracer(make(), precision=precision)
     expected = tracer.first_hit(*RAYS)
-    image = rs.render(tracer, "raycast", size=(16, 12)).pixels
+    seen = {"size": (16, 12), "camera": box().camera}
+    image = rs.render(tracer, "raycast", **seen).pixels
     for given, options in ((tracer, {}), (tracer.scene, {"precision": precision})):
         for for_rendering in (False, True):
             bundle = pack_tracer(given, "bvh", "cpu", options, for_rendering=for_rendering)
@@ -67,7 +71,7 @@ def test_workers_have_the_same_tracer(kind) -> None:
             for name in HITS:
                 assert_same_bits(getattr(hits, name), getattr(expected, name))
             if for_rendering:
-                assert_same_bits(rs.render(found, "raycast", size=(16, 12)).pixels, image)
+                assert_same_bits(rs.render(found, "raycast", **seen).pixels, image)
 
 
 def test_workers_build_for_their_devices() -> None:

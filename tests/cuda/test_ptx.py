@@ -150,7 +150,9 @@ def test_closest_points_equal_brute_force(driver, structure):
     assert any("find_nearest" in name for name in driver.launched)
 
 
-@pytest.mark.parametrize("name", ["mirrors_and_uneven_scales", "primitives_of_all_kinds", "float64"])
+@pytest.mark.parametrize(
+    "name", ["mirrors_and_uneven_scales", "primitives_of_all_kinds", "float64"]
+)
 def test_closest_points_of_all_kinds_equal_brute_force(driver, name):
     if name == "float64":
         scene, options = rs.Scene.from_arrays(*soup(24, 3)), {"precision": "float64"}

@@ -24,12 +24,12 @@ from raystream.scene.mesh import Mesh
 from raystream.scene.primitive_geometry import PrimitiveGeometry
 from raystream.scene.scene import Scene
 from raystream.scene.texture import Texture
-from raystream.structures.saved_stores import instances_of, part_of, primitives_of
+from raystream.structures.saved_stores import arrays_of, instances_of, part_of, primitives_of
 
 _ATTRIBUTES = ("vertices", "faces", "normals", "colors", "texcoords", "material_ids")
 
 #: How the names of `Store.saved_arrays` begin that are of instances, height fields and spheres.
-_GEOMETRY = ("object_ids", "transforms", "worlds", "field", "spheres")
+_GEOMETRY = ("object_ids", "transforms", "worlds", "masks", "field", "spheres")
 
 _LIGHTS: dict[str, type[Light]] = {
     "point": PointLight,
@@ -77,7 +77,7 @@ def pack_scene(scene: Scene) -> tuple[dict[str, Any], Arrays]:
         header["mesh_counts"] = list(geometry.mesh_counts)
     if geometry.instances is not None or geometry.has_primitives:
         header["has_primitives"] = geometry.has_primitives
-        own = scene.triangles.saved_arrays().items()
+        own = arrays_of(scene.triangles).items()
         arrays |= {f"geometry.{name}": one for name, one in own if name.startswith(_GEOMETRY)}
     return header, arrays
 

@@ -16,7 +16,7 @@ from raystream.core.scene_kinds import check_support
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, StructureOptions
 from raystream.structures.saved_stores import part_of, store_of
-from raystream.structures.storage import arrays_of, structure_of
+from raystream.structures.storage import named_arrays, structure_of
 from raystream.tracer import Tracer
 from raystream.tracer.devices import device_of
 from raystream.tracer.precision import triangles_of
@@ -67,7 +67,7 @@ def pack_tracer(
     # Other kinds of geometry than triangles in float32 are made of the scene, where that is sent.
     has_scene = for_rendering or (built is None and bool(store.kinds))
     is_made = has_scene and bool(store.kinds)
-    arrays = {} if is_made else arrays_of(store, None if built is None else built.structure)
+    arrays = {} if is_made else named_arrays(store, None if built is None else built.structure)
     if built is None:
         machine = options.get("machine")
         header |= {

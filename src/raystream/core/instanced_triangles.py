@@ -80,7 +80,7 @@ class InstancedTriangles(Store):
 
     def _mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
         """The parts are the instances; or, where one has no mask, the meshes of its object."""
-        own, masks = self.instances.masks, self.attributes.masks
+        own, masks = self.instances.masks, self.mesh_masks
         if own is None:
             own = np.zeros(len(self.instances), np.uint32)
         if own.all():
@@ -94,6 +94,11 @@ class InstancedTriangles(Store):
         firsts = self.mesh_splits[mesh] - self.first_prims[ids][instance]
         chosen = np.where(own[instance] > 0, own[instance], masks[mesh])
         return self.first_ids[instance] + firsts, chosen
+
+    def saved_masks(self) -> dict[str, NDArray[np.uint32]]:
+        """See `Store.saved_masks`."""
+        own = self.instances.masks
+        return super().saved_masks() | ({} if own is None else {"instances": own})
 
     def moved(self, instances: Instances) -> InstancedTriangles:
         """The same objects, with instances elsewhere."""

@@ -153,25 +153,34 @@ class Scene(PrimitiveScene):
 
     @classmethod
     def from_triangles(cls, triangles: Triangles) -> Scene:
-        """Make a scene from a triangle store: the same triangles and meshes, nothing else."""
+        """Make a scene from a triangle store: the same triangles, meshes and masks, no more."""
         store: Any = triangles
         if store.has_primitives:
-            of_meshes = cls.from_triangles(store.triangles).meshes
+            of_meshes = cls._bare_meshes(store.triangles, store.mesh_masks)
             geometry = PrimitiveGeometry(of_meshes, store.fields, store.spheres)
             materials = [Material()] * max(1, geometry.highest_material + 1)
             return cls._of_primitives(geometry, {"materials": materials})
         if store.instances is not None:
             held = store.instances
-            objects = [list(cls.from_triangles(one).meshes) for one in store.objects]
-            return cls.instances(objects, held.transforms, held.object_ids, worlds=held.worlds)
+            ends = np.cumsum([len(one.mesh_splits) - 1 for one in store.objects])
+            of_objects = np.split(store.mesh_masks, ends[:-1])
+            objects = [*map(cls._bare_meshes, store.objects, of_objects)]
+            placed = held.transforms, held.object_ids
+            return cls.instances(objects, *placed, worlds=held.worlds, masks=held.masks)
+        return cls().moved(cls._bare_meshes(triangles, store.mesh_masks), triangles)
+
+    @staticmethod
+    def _bare_meshes(triangles: Any, masks: NDArray[np.uint32]) -> list[Mesh]:
+        """The meshes of a triangle store, with nothing but these masks."""
         ids = np.arange(len(triangles), dtype=np.int32)
         local: Any = triangles.corners_at(ids, ids) if triangles.kinds else triangles.corners
         corners = triangles.points_to_world(local, ids)
         meshes = []
-        for first, end in itertools.pairwise(triangles.mesh_splits):
+        parts = itertools.pairwise(triangles.mesh_splits)
+        for (first, end), mask in zip(parts, masks.tolist(), strict=True):
             faces = np.arange(3 * (end - first), dtype=np.int32).reshape(-1, 3)
-            meshes.append(Mesh(corners[first:end].reshape(-1, 3), faces))
-        return cls().moved(meshes, triangles)
+            meshes.append(Mesh(corners[first:end].reshape(-1, 3), faces, mask=mask))
+        return meshes
 
     def replace(self, **changes: Unpack[_Parts]) -> Scene:
         """Copy the scene with some parts replaced; unchanged parts are shared.

@@ -1,7 +1,8 @@
-"""Geometry from the arrays of a file, checked: what `Store.saved_arrays` returned."""
+"""Geometry as the arrays of a file, with its masks; and from them, checked."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -14,6 +15,7 @@ from raystream.core.float64_triangles import Float64Triangles
 from raystream.core.height_field import HeightField
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.instances import Instances
+from raystream.core.masks import ALL_BITS
 from raystream.core.primitives import Primitives
 from raystream.core.spheres import Spheres
 from raystream.core.store import Store
@@ -34,7 +36,20 @@ def store_of(kinds: Any, arrays: Arrays) -> Store:
     make = _MAKERS.get(str(kinds[0]) if isinstance(kinds, list) and kinds else "")
     if make is None:
         raise ValueError(f"holds an unknown kind of scene {kinds!r:.40}")
-    return make(arrays)
+    made = make(arrays)
+    if made.attributes is None:
+        made.mesh_masks = _mesh_masks(arrays, made.mesh_splits)
+    return made
+
+
+def arrays_of(store: Store) -> dict[str, NDArray[Any]]:
+    """`Store.saved_arrays`; and its masks, where there are any."""
+    held = {
+        f"masks.{name}": masks
+        for name, masks in store.saved_masks().items()
+        if (masks != ALL_BITS).any()
+    }
+    return store.saved_arrays() | held
 
 
 def same_geometry(one: Store, other: Store) -> bool:
@@ -51,6 +66,20 @@ def part_of(arrays: Arrays, name: str) -> dict[str, NDArray[Any]]:
     return {
         key.removeprefix(begin): array for key, array in arrays.items() if key.startswith(begin)
     }
+
+
+def _masks(arrays: Arrays, name: str, count: int) -> NDArray[np.uint32]:
+    """The masks of some parts: all bits if the file has none."""
+    if f"masks.{name}" not in arrays:
+        return np.full(count, ALL_BITS, np.uint32)
+    masks = take(arrays, f"masks.{name}", np.uint32, (count,))
+    if not (name == "instances" or masks.all()):
+        raise ValueError(f"the masks of {name} have a 0")
+    return masks
+
+
+def _mesh_masks(arrays: Arrays, splits: NDArray[np.int64]) -> NDArray[np.uint32]:
+    return _masks(arrays, "meshes", len(splits) - 1)
 
 
 def _splits(arrays: Arrays, count: int) -> NDArray[np.int64]:
@@ -89,21 +118,25 @@ def _instances(arrays: Arrays) -> InstancedTriangles:
     while own := part_of(arrays, f"object{len(objects)}"):
         objects.append(_triangles(own))
     splits = _splits(arrays, sum(map(len, objects)))
-    return InstancedTriangles(objects, instances_of(arrays), splits, Attributes(()))
+    known = Attributes((), _mesh_masks(arrays, splits))
+    return InstancedTriangles(objects, instances_of(arrays), splits, known)
 
 
 def instances_of(arrays: Arrays) -> Instances:
     """The instances of `InstancedTriangles.saved_arrays`."""
+    ids = take(arrays, "object_ids", np.int32, (None,))
     return Instances(
-        take(arrays, "object_ids", np.int32, (None,)),
+        ids,
         take(arrays, "transforms", np.float64, (None, 3, 4)),
         take(arrays, "worlds", np.int32, (None,)) if "worlds" in arrays else None,
+        masks=_masks(arrays, "instances", len(ids)) if "masks.instances" in arrays else None,
     )
 
 
 def _primitives(arrays: Arrays) -> Primitives:
     triangles = _triangles(part_of(arrays, "triangles"))
-    return Primitives(triangles, *primitives_of(arrays), Attributes(()))
+    known = Attributes((), _mesh_masks(arrays, triangles.mesh_splits))
+    return Primitives(triangles, *primitives_of(arrays), known)
 
 
 def primitives_of(arrays: Arrays) -> tuple[list[HeightField], Spheres]:
@@ -117,6 +150,9 @@ def primitives_of(arrays: Arrays) -> tuple[list[HeightField], Spheres]:
         take(own, "radii", np.float64, (None,)),
         take(own, "material_ids", np.int32, (None,)),
     )
+    spheres = dataclasses.replace(spheres, masks=_masks(arrays, "spheres", len(spheres)))
+    for field, mask in zip(fields, _masks(arrays, "fields", len(fields)), strict=True):
+        field.mask = int(mask)
     return fields, spheres
 
 

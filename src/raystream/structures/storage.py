@@ -15,7 +15,13 @@ from raystream.core.npz import read_npz, write_npz
 from raystream.core.store import Store
 from raystream.structures import STRUCTURES, StructureOptions, builder_for
 from raystream.structures.base import Structure
-from raystream.structures.saved_stores import Arrays, part_of, same_geometry, store_of
+from raystream.structures.saved_stores import (
+    Arrays,
+    arrays_of,
+    part_of,
+    same_geometry,
+    store_of,
+)
 
 #: Increased by every change that makes older files unreadable.
 FORMAT_VERSION = 3
@@ -47,12 +53,12 @@ def save_structure(path: str | PathLike[str], structure: Structure) -> None:
         **({"kinds": triangles.kinds} if triangles.kinds else {}),
     }
     arrays = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
-    write_npz(path, arrays | arrays_of(triangles, structure))
+    write_npz(path, arrays | named_arrays(triangles, structure))
 
 
-def arrays_of(triangles: Store, structure: Structure | None = None) -> dict[str, NDArray[Any]]:
+def named_arrays(triangles: Store, structure: Structure | None = None) -> dict[str, NDArray[Any]]:
     """What files and bundles hold of geometry, and of a structure of it, by name."""
-    arrays = {f"triangles.{name}": one for name, one in triangles.saved_arrays().items()}
+    arrays = {f"triangles.{name}": one for name, one in arrays_of(triangles).items()}
     if structure is not None:
         own = structure.saved_arrays().items()
         arrays |= {f"structure.{name}": one for name, one in own}
@@ -60,7 +66,7 @@ def arrays_of(triangles: Store, structure: Structure | None = None) -> dict[str,
 
 
 def structure_of(triangles: Store, arrays: Arrays, options: StructureOptions) -> Structure:
-    """The structure of geometry from `arrays_of`, or built where these have none of it.
+    """The structure of geometry from `named_arrays`, or built where these have none of it.
 
     Raises
     ------
