@@ -13,6 +13,7 @@ import raystream as rs
 from conftest import assert_same_bits
 from extras import need
 from gradients import check_slopes, differences, hits_of, open_mesh, relative_error
+from held_hits import KINDS, check_slopes_of_kind, tracer_and_rays
 from meshes import soup
 from raystream.core.padded_hits import pad
 from strategies import scenes_and_rays
@@ -29,8 +30,10 @@ COLUMNS = ("t", "u", "v", "prim_id")
 
 @pytest.fixture(autouse=True)
 def doubles():
-    with jax.enable_x64(True):
-        yield
+    # Not `jax.enable_x64`: callbacks may run in threads, where that has no effect.
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
 
 
 @pytest.fixture(scope="module")
@@ -274,6 +277,44 @@ def test_derivatives_agree_with_finite_differences(mesh, tracer):
     assert not found[~is_hit].any()  # misses: zeros, not NaN
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_derivatives_in_scenes_of_all_kinds(kind):
+    def slopes(tracer, origins, directions, vertices, weights):
+        queries = JaxTracer(tracer)
+
+        def loss(origins, directions, vertices):
+            hits = queries.first_hit(origins, directions, vertices=vertices)
+            points = queries.positions(hits, vertices)
+            outputs = jnp.concatenate([jnp.stack(hits[:3], axis=-1), points], axis=-1)
+            return jnp.where(weights != 0.0, outputs * weights, 0.0).sum(), hits
+
+        every = jax.jit(jax.grad(loss, argnums=(0, 1, 2), has_aux=True))
+        found, hits = every(origins, directions, vertices)
+        expected = tracer.first_hit(origins, directions)
+        assert_same_hits(hits, expected)
+        return *map(np.asarray, found), hits.instance_id
+
+    check_slopes_of_kind(kind, slopes)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_mapped_rays_in_scenes_of_all_kinds(kind):
+    """One by one, and all together: with forward derivatives, of several hits."""
+    plain, origins, directions = tracer_and_rays(kind)
+    tracer = JaxTracer(plain)
+    rays = origins[:20], directions[:20]
+
+    def depths(origin, direction):
+        hits = tracer.multi_hit(origin, direction, max_hits=2)
+        return jnp.where(hits.prim_id >= 0, hits.t + hits.u, 0.0)
+
+    found = jax.jit(jax.vmap(jax.jacfwd(depths, argnums=(0, 1))))(*rays)
+    for k in range(20):
+        alone = jax.jacrev(depths, argnums=(0, 1))(rays[0][k], rays[1][k])
+        for one, other in zip(found, alone, strict=True):
+            np.testing.assert_allclose(one[k], other, rtol=1e-4, atol=1e-4)
+
+
 @given(scenes_and_rays(), st.booleans())
 @settings(max_examples=15)
 def test_derivatives_are_finite_and_right_for_any_scene(case, is_single):
@@ -451,5 +492,5 @@ def test_a_plain_tracer_says_what_traces_inside_jit(tracer):
 
 
 def test_hits_are_a_tree():
-    hits = JaxHits(*np.arange(4.0))
-    assert jax.tree.map(lambda one: one + 1, hits) == JaxHits(1.0, 2.0, 3.0, 4.0)
+    hits = JaxHits(*np.arange(5.0))
+    assert jax.tree.map(lambda one: one + 1, hits) == JaxHits(1.0, 2.0, 3.0, 4.0, 5.0)

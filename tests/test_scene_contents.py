@@ -117,11 +117,11 @@ FEATURES: dict[str, tuple[Callable[[rs.Tracer, Path], Any], str]] = {
     "view_factors": (lambda t, _: rs.view_factors(t, rays=64), "view_factors"),
     "closest_point": (
         lambda t, _: t.closest_point(POINTS, **_world(t)),
-        "closest points with device='cpu'",
+        "closest points",
     ),
     "signed_distance": (
         lambda t, _: t.signed_distance(POINTS, method="winding", **_world(t)),
-        "closest points with device='cpu', inside tests",
+        "closest points, inside tests",
     ),
     "contains": (lambda t, _: t.contains(POINTS, method="winding", **_world(t)), "inside tests"),
     "winding_number": (lambda t, _: t.winding_number(POINTS, **_world(t)), "winding numbers"),

@@ -16,6 +16,7 @@ import raystream as rs
 from conftest import assert_same_bits
 from extras import need
 from gradients import check_slopes, differences, hits_of, open_mesh, relative_error
+from held_hits import KINDS, check_slopes_of_kind, tracer_and_rays
 from meshes import soup
 from raystream.core.padded_hits import pad
 from strategies import scenes_and_rays
@@ -25,7 +26,7 @@ need("torch")
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from raystream.torch import TorchTracer
+from raystream.torch import TorchHits, TorchTracer
 
 COLUMNS = ("t", "u", "v", "prim_id")
 #: Of each mesh of `open_mesh`.
@@ -172,13 +173,14 @@ def test_operators_follow_the_rules_of_operators(mesh, tracer, rays):
     ops, number = torch.ops.raystream, tracer._number
     vertices = torch.from_numpy(mesh[1].copy())
     limits = torch.tensor(0.0), torch.tensor(math.inf)
-    prim_id = tracer.first_hit(*rays).prim_id
+    hits = tracer.first_hit(*rays)
+    prim_id = hits.prim_id
     for made, more in [
         (ops.first_hit, (*tensors(rays), *limits)),
         (ops.any_hit, (*tensors(rays), *limits)),
         (ops.count_hits, (*tensors(rays), *limits, True)),
         (ops.multi_hit, (*tensors(rays), *limits, 3, False)),
-        (ops.corners, (prim_id,)),
+        (ops.corners, hits[1:]),
         (ops.vertex_ids, (prim_id, vertices)),
         (ops.first_hit, (*tensors(rays), *limits, vertices)),
     ]:
@@ -277,12 +279,12 @@ def test_vertices_may_be_rounded_or_batched(mesh, tracer, rays):
 def test_operators_do_not_keep_tracers(mesh):
     tracer = TorchTracer(rs.Tracer(mesh[0]))
     number = tracer._number
-    corner = torch.zeros(1, dtype=torch.int32)
-    assert torch.ops.raystream.corners(number, corner).shape == (1, 3, 3)
+    prim_id = torch.zeros(1, dtype=torch.int32)
+    assert torch.ops.raystream.vertex_ids(number, prim_id).shape == (1, 3)
     del tracer
     gc.collect()
     with pytest.raises(RuntimeError, match=r"tracer: the TorchTracer .* has been deleted"):
-        torch.ops.raystream.corners(number, corner)
+        torch.ops.raystream.vertex_ids(number, prim_id)
 
 
 def test_copies_and_pickles_trace(tracer, rays):
@@ -360,6 +362,43 @@ def test_gradients_of_many_rays_agree_with_finite_differences(mesh, tracer):
         slopes = torch.autograd.grad(one[is_hit].sum(), given, retain_graph=True)
         found = torch.cat(slopes, -1).numpy()[is_hit]
         assert relative_error(found, expected[:, k, :6]) < 1e-4
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_gradients_in_scenes_of_all_kinds(kind):
+    def slopes(tracer, origins, directions, vertices, weights):
+        queries = TorchTracer(tracer)
+        given = [one.requires_grad_() for one in tensors((origins, directions, vertices))]
+        hits = queries.first_hit(*given[:2], vertices=given[2])
+        points = queries.positions(hits, given[2])
+        outputs = torch.cat([torch.stack(hits[:3], dim=-1), points], dim=-1)
+        scaled = outputs * torch.from_numpy(weights)
+        loss = torch.where(torch.from_numpy(weights) != 0.0, scaled, 0.0).sum()
+        found = torch.autograd.grad(loss, given)
+        detached = TorchHits(*(one.detach() for one in hits))
+        assert_same_hits(detached, tracer.first_hit(origins, directions))
+        return *(one.numpy() for one in found), hits.instance_id.numpy()
+
+    check_slopes_of_kind(kind, slopes)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_operators_in_scenes_of_all_kinds(kind):
+    plain, *rays = tracer_and_rays(kind)
+    tracer, ops = TorchTracer(plain), torch.ops.raystream
+    limits = torch.tensor(0.0), torch.tensor(math.inf)
+    hits = tracer.first_hit(*tensors(rays))
+    for made, more in [
+        (ops.first_hit, (*tensors(rays), *limits)),
+        (ops.multi_hit, (*tensors(rays), *limits, 3, False)),
+        (ops.corners, hits[1:]),
+        (ops.vertex_slopes, hits[3:]),
+    ]:
+        torch.library.opcheck(made.default, (tracer._number, *more))
+    every = torch.vmap(torch.func.grad(lambda o, d: tracer.first_hit(o, d).t, argnums=(0, 1)))
+    given = [one.requires_grad_() for one in tensors(rays)]
+    expected = torch.autograd.grad(tracer.first_hit(*given).t.sum(), given)
+    torch.testing.assert_close(every(*tensors(rays)), expected)
 
 
 @given(scenes_and_rays())
@@ -552,4 +591,4 @@ def test_tensors_without_numbers_have_results_without(tracer):
         hits = tracer.multi_hit(torch.zeros(4, 1, 3), torch.ones(5, 3), max_hits=2)
     assert hits.t.device.type == "meta"
     assert hits.prim_id.shape == (4, 5, 2)
-    assert [one.dtype for one in hits] == [torch.float32] * 3 + [torch.int32]
+    assert [one.dtype for one in hits] == [torch.float32] * 3 + [torch.int32] * 2

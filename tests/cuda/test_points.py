@@ -11,6 +11,8 @@ need("numba_cuda")
 
 import raystream as rs
 from meshes import cube, dented_sphere, lattice_soup, soup
+from raystream.jit.cuda import is_simulated
+from scene_cases import SCENE_CASES
 from test_closest_point import assert_same_bits, points_around
 
 SCENES = {
@@ -23,6 +25,7 @@ SCENES = {
 
 #: The simulator takes a millisecond for a point.
 COUNT = 30
+SLOW = [pytest.mark.exhaustive] * is_simulated()
 
 
 @pytest.mark.parametrize("structure", ["bvh", "brute"])
@@ -40,6 +43,59 @@ def test_points_have_the_cpu_s_bits(gpu, structure, name):
     rows = theirs.closest_points(points, 3)
     assert_same_bits(ours.closest_points(points, 3), rows)
     assert rows.status.tolist()[:4] == [1, 1, 1, 0]
+
+
+#: Kinds of scene besides triangles in float32.
+KINDS = {
+    "instances": lambda: SCENE_CASES["mirrors_and_uneven_scales"](np.random.default_rng(1))[0],
+    "primitives": lambda: SCENE_CASES["primitives_of_all_kinds"](np.random.default_rng(1))[0],
+    "float64": lambda: rs.Scene.from_arrays(*SCENES["far from the origin"]()),
+}
+
+#: The simulator compiles a tree's kernel for the processor in ten seconds; test_ptx.py has them
+#: in a default run.
+KINDS_OF_STRUCTURES = [
+    ("brute", kind) if structure == "brute" else pytest.param(structure, kind, marks=SLOW)
+    for structure in ("bvh", "brute")
+    for kind in KINDS
+]
+
+
+@pytest.mark.parametrize(("structure", "kind"), KINDS_OF_STRUCTURES)
+def test_points_of_other_kinds_have_the_cpu_s_bits(gpu, structure, kind):
+    scene = KINDS[kind]()
+    options = {"precision": "float64"} if kind == "float64" else {}
+    theirs = rs.Tracer(scene, "brute", **options)
+    ours = rs.Tracer(scene, structure, "cuda", **options)
+    points = points_around(np.array(scene.bounds), np.random.default_rng(3), COUNT)
+    points[0, 1], points[1, 2], points[2] = np.nan, np.inf, 2.0**201
+    rows = theirs.closest_points(points, 3)
+    assert_same_bits(ours.closest_points(points, 3), rows)
+    limits = np.where(np.arange(COUNT) % 3 == 0, rows.distance[:, 0], np.inf)
+    expected = theirs.closest_point(points, max_distance=limits)
+    found = ours.closest_point(points, max_distance=limits)
+    assert_same_bits(found, expected)
+    if kind == "instances":
+        np.testing.assert_array_equal(found.instance_id, expected.instance_id)
+        moved = scene.placements.transforms + [0.0, 0.0, 0.0, 0.5]
+        for one in (ours, theirs):
+            one.update(transforms=moved)
+        assert_same_bits(ours.closest_points(points, 3), theirs.closest_points(points, 3))
+
+
+def test_distances_of_other_kinds_by_hand(gpu):
+    """From the CPU's tests, one thread a point."""
+    balls = rs.Scene.spheres([[0, 0, 0], [10, 0, 0]], [2.0, 1.0])
+    slope = rs.Scene.height_field(np.add.outer(np.zeros(9), np.arange(9.0)))
+    cubes = rs.Scene.instances(rs.Scene.from_arrays(*cube()), [np.diag([4.0, 1, 1]) @ np.eye(3, 4)])
+    cases = (
+        (balls, [[0, 0, 0], [0, 1, 0], [6, 0, 0], [10, 0, 0.5]], [2.0, 1.0, 3.0, 0.5]),
+        (slope, [[4, 4, 6], [-3, 4, -4], [4, 12, 4]], [np.sqrt(2), 5.0, 4.0]),
+        (cubes, [[2, 0.5, 3], [7, 0.5, 0.5]], [2.0, 3.0]),
+    )
+    for scene, points, expected in cases:
+        found = rs.Tracer(scene, "brute", "cuda").closest_point(points)
+        np.testing.assert_allclose(found.distance, expected, 1e-15)
 
 
 def test_points_come_in_parts(gpu, monkeypatch):

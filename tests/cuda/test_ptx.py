@@ -176,6 +176,21 @@ def test_closest_points_equal_brute_force(driver, structure):
     assert any("find_nearest" in name for name in driver.launched)
 
 
+@pytest.mark.parametrize(
+    "name", ["mirrors_and_uneven_scales", "primitives_of_all_kinds", "float64"]
+)
+def test_closest_points_of_all_kinds_equal_brute_force(driver, name):
+    if name == "float64":
+        scene, options = rs.Scene.from_arrays(*soup(24, 3)), {"precision": "float64"}
+    else:
+        scene, options = SCENE_CASES[name](np.random.default_rng(2013))[0], {}
+    points = points_around(np.array(scene.bounds), np.random.default_rng(4), 6)
+    expected = rs.Tracer(scene, "brute", **options).closest_points(points, 2)
+    found = rs.Tracer(scene, device="cuda", gpu=NUMBER, **options).closest_points(points, 2)
+    assert_same_bits(found, expected)
+    assert any("find_nearest" in name for name in driver.launched)
+
+
 class Lent:
     """An array on the device, as CuPy lends one."""
 

@@ -196,10 +196,6 @@ def test_what_is_not_supported_says_so(gpu) -> None:
         with pytest.raises(ValueError, match="structure='bvh' or structure='brute'"):
             rs.Tracer(scene, "grid", "cuda")
         tracer = rs.Tracer(scene, DEFAULT, "cuda")
-        with pytest.raises(
-            rs.RaystreamError, match=f"{says}.*use closest points with device='cpu'"
-        ):
-            tracer.closest_point([0.0, 0, 5])
         assert tracer.contains([0.25, 0.5, 0.25])
 
 
@@ -207,11 +203,7 @@ def test_what_is_not_supported_says_so(gpu) -> None:
 @pytest.mark.parametrize("feature", FEATURES)
 def test_a_feature_works_or_names_what_it_does_not_support(gpu, feature, kind, tmp_path) -> None:
     tracer = tracer_of(kind, DEFAULT, "cuda")
-    if feature in ("closest_point", "signed_distance"):  # for the CPU alone
-        with pytest.raises(rs.RaystreamError, match=r"device='cuda'|worlds"):
-            FEATURES[feature][0](tracer, tmp_path)
-    else:
-        check_feature(feature, kind, tracer, tmp_path)
+    check_feature(feature, kind, tracer, tmp_path)
 
 
 def test_what_does_not_fit_says_so(gpu, monkeypatch) -> None:

@@ -270,7 +270,7 @@ def _moved(base: str, own: str) -> Tracer:
     if getattr(_moving, "base", None) != base:
         header, arrays = fetch(base)
         # Updates change a structure's arrays in place, and other threads may share them.
-        own_arrays = {n: a.copy() if n.startswith("structure ") else a for n, a in arrays.items()}
+        own_arrays = {n: a.copy() if n.startswith("structure.") else a for n, a in arrays.items()}
         _moving.tracer, _moving.base = unpack_tracer(header, own_arrays), base
     tracer: Tracer = _moving.tracer
     try:

@@ -11,12 +11,21 @@ from numpy.typing import NDArray
 from raystream.cluster.fetch import tracer_of
 from raystream.cluster.thread_budget import shared_threads
 from raystream.core.hits import Hits
+from raystream.core.store import Store
 
-#: A first hit in transit.
-RECORD = np.dtype([("t", "f4"), ("u", "f4"), ("v", "f4"), ("prim_id", "i4"), ("status", "u1")])
 
-#: Columns of multi-hit rows, and their dtypes.
-COLUMNS = {"t": np.float32, "u": np.float32, "v": np.float32, "prim_id": np.int32}
+def columns_of(triangles: Store) -> dict[str, Any]:
+    """The columns of hits in transit, and their dtypes."""
+    kinds: dict[str, Any] = dict.fromkeys("tuv", triangles.number_type)
+    kinds["prim_id"] = np.int32
+    if triangles.instances is not None:
+        kinds["instance_id"] = np.int32
+    return kinds
+
+
+def record_of(triangles: Store) -> np.dtype[Any]:
+    """A first hit in transit."""
+    return np.dtype([*columns_of(triangles).items(), ("status", np.uint8)])
 
 
 def _trace(digest: str, query: str, arrays: tuple[Any, ...], limits: Any, options: Any) -> Any:
@@ -42,8 +51,9 @@ def _trace(digest: str, query: str, arrays: tuple[Any, ...], limits: Any, option
 def first_block(*arrays: Any, digest: str, limits: Any, options: Any) -> NDArray[np.void]:
     """Trace the first hits of a chunk of rays; records of its leading shape."""
     hits = _trace(digest, "first_hit", arrays, limits, options)
-    records = np.empty(hits.t.shape, RECORD)
-    for name in RECORD.names or ():
+    record = record_of(tracer_of(digest).structure.triangles)
+    records = np.empty(hits.t.shape, record)
+    for name in record.names or ():
         records[name] = getattr(hits, name)
     return records
 
@@ -61,7 +71,7 @@ def count_block(*arrays: Any, digest: str, limits: Any, options: Any) -> NDArray
 def multi_block(*arrays: Any, digest: str, limits: Any, options: Any) -> NDArray[np.object_]:
     """Find all hits of a chunk of N rays: an array of one element, a dict of arrays."""
     many = _trace(digest, "multi_hit", arrays, limits, options)
-    found = {name: getattr(many, name) for name in COLUMNS}
+    found = {n: getattr(many, n) for n in columns_of(tracer_of(digest).structure.triangles)}
     found |= {"counts": many.counts.reshape(-1), "status": many.status.reshape(-1)}
     block = np.empty(1, np.object_)
     block[0] = found
@@ -84,18 +94,17 @@ def derived(*columns: NDArray[Any], digest: str, name: str) -> NDArray[Any]:
     Parameters
     ----------
     *columns : ndarray
-        u, v and prim_id.
+        u, v and prim_id, and with instances instance_id.
     """
-    u, v, prim_id = columns
+    u, v, prim_id, *placed = columns
     triangles = tracer_of(digest).structure.triangles
-    nothing = np.empty(prim_id.shape, np.float32)
-    hits = Hits(nothing, u, v, prim_id, np.empty(prim_id.shape, np.uint8), triangles)
-    return getattr(hits, name)
+    status = np.empty(prim_id.shape, np.uint8)
+    return getattr(Hits(u, u, v, prim_id, status, triangles, None, *placed), name)
 
 
-#: The worker function of each query, and the dtype of its chunks.
-BLOCKS: dict[str, tuple[Callable[..., NDArray[Any]], np.dtype[Any]]] = {
-    "first_hit": (first_block, RECORD),
+#: The worker function of each query, and the dtype of its chunks, or a function of the geometry.
+BLOCKS: dict[str, tuple[Callable[..., NDArray[Any]], Any]] = {
+    "first_hit": (first_block, record_of),
     "any_hit": (any_block, np.dtype(np.bool_)),
     "count_hits": (count_block, np.dtype(np.int64)),
     "multi_hit": (multi_block, np.dtype(np.object_)),

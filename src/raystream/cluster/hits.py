@@ -13,7 +13,7 @@ from distributed import Client
 
 from raystream.cluster import blocks
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.triangles import Triangles
+from raystream.core.store import Store
 
 
 class _LazyColumns:
@@ -24,12 +24,24 @@ class _LazyColumns:
     prim_id: da.Array
 
     _digest: str
+    _triangles: Store
     _client: Client
 
     def _compute_options(self, options: dict[str, Any]) -> dict[str, Any]:
         """Return options of Dask's ``compute``, by default on the tracer's cluster."""
         is_open = self._client.status == "running"
         return {"scheduler": self._client, **options} if is_open else options
+
+    @cached_property
+    def instance_id(self) -> da.Array:
+        """Instance of the triangle, int32, of the hits' shape; a miss has -1."""
+        if self._triangles.instances is None:
+            return self._derived("instance_id", np.int32)
+        return self._placed()
+
+    def _placed(self) -> da.Array:
+        """The instances of hits, of a scene that has some."""
+        raise NotImplementedError
 
     @cached_property
     def mesh_id(self) -> da.Array:
@@ -48,18 +60,20 @@ class _LazyColumns:
 
     @cached_property
     def normals(self) -> da.Array:
-        """Unit normals of the triangles' planes, shape (..., 3), float32; a miss has NaN."""
-        return self._derived("normals", np.float32, 3)
+        """Unit normals of the triangles' planes, shape (..., 3), as t; a miss has NaN."""
+        return self._derived("normals", self._triangles.number_type, 3)
 
     def _derived(self, name: str, dtype: type, width: int | None = None) -> da.Array:
         axes = {} if width is None else {"new_axis": self.prim_id.ndim}
         chunks = self.prim_id.chunks if width is None else (*self.prim_id.chunks, (width,))
         shape = (0,) * len(chunks)
+        placed = () if self._triangles.instances is None else (self.instance_id,)
         return da.map_blocks(
             partial(blocks.derived, digest=self._digest, name=name),
             self.u,
             self.v,
             self.prim_id,
+            *placed,
             chunks=chunks,
             meta=np.empty(shape, dtype),
             name=f"raystream-{name}-{dask.base.tokenize(self._digest, self.prim_id.name)}",
@@ -73,7 +87,7 @@ class LazyHits(_LazyColumns):
     Attributes
     ----------
     t, u, v : dask.array.Array of shape S, float32
-        As `Hits`.
+        As `Hits`; float64 of a tracer in that precision.
     prim_id : dask.array.Array of shape S, int32
     status : dask.array.Array of shape S, uint8
 
@@ -84,16 +98,14 @@ class LazyHits(_LazyColumns):
     the workers.
     """
 
-    def __init__(
-        self, records: da.Array, digest: str, triangles: Triangles, client: Client
-    ) -> None:
+    def __init__(self, records: da.Array, digest: str, triangles: Store, client: Client) -> None:
         self._records = records
         self._digest, self._triangles, self._client = digest, triangles, client
         self.t, self.u, self.v = (self._column(name) for name in ("t", "u", "v"))
         self.prim_id, self.status = self._column("prim_id"), self._column("status")
 
     def _column(self, name: str) -> da.Array:
-        dtype = blocks.RECORD[name]
+        dtype = self._records.dtype[name]
         return da.map_blocks(
             blocks.column,
             self._records,
@@ -102,6 +114,9 @@ class LazyHits(_LazyColumns):
             dtype=dtype,
             name=f"raystream-{name}-{self._records.name}",
         )
+
+    def _placed(self) -> da.Array:
+        return self._column("instance_id")
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -123,10 +138,10 @@ class LazyHits(_LazyColumns):
             is given.
         """
         (records,) = dask.compute(self._records, **self._compute_options(options))
-        t, u, v, prim_id, status = (
-            blocks.column(np.asarray(records), name) for name in blocks.RECORD.names or ()
+        *columns, status = (
+            blocks.column(np.asarray(records), name) for name in self._records.dtype.names
         )
-        return Hits(t, u, v, prim_id, status, self._triangles)
+        return Hits(*columns[:4], status, self._triangles, None, *columns[4:])
 
     def persist(self, **options: Any) -> LazyHits:
         """Trace the rays and keep the hits on the workers."""
@@ -144,7 +159,7 @@ class LazyMultiHits(_LazyColumns):
     ----------
     ray_splits : dask.array.Array of shape (N + 1,), int64
         As `MultiHits`; rays are numbered in the C order of their leading shape.
-    t, u, v : dask.array.Array of shape (nan,), float32
+    t, u, v : dask.array.Array of shape (nan,), float32 or float64
         One chunk per chunk of rays; their numbers of rows are unknown until computed.
     prim_id : dask.array.Array of shape (nan,), int32
     counts : dask.array.Array of shape S, int64
@@ -157,15 +172,15 @@ class LazyMultiHits(_LazyColumns):
         lengths: tuple[int, ...],
         shape: tuple[int, ...],
         digest: str,
-        triangles: Triangles,
+        triangles: Store,
         client: Client,
     ) -> None:
         self._found, self._lengths = found, lengths
         self._shape = shape
         self._digest, self._triangles, self._client = digest, triangles, client
-        unknown = (math.nan,) * len(lengths)
-        self.t, self.u, self.v = (self._rows(name, np.float32, unknown) for name in ("t", "u", "v"))
-        self.prim_id = self._rows("prim_id", np.int32, unknown)
+        self._unknown, kind = (math.nan,) * len(lengths), triangles.number_type
+        self.t, self.u, self.v = (self._rows(name, kind, self._unknown) for name in "tuv")
+        self.prim_id = self._rows("prim_id", np.int32, self._unknown)
         counts = self._rows("counts", np.int64, lengths)
         zero = da.zeros(1, dtype=np.int64, chunks=1)
         self.ray_splits = da.concatenate([zero, da.cumsum(counts, axis=0, dtype=np.int64)])
@@ -183,6 +198,9 @@ class LazyMultiHits(_LazyColumns):
             name=f"raystream-{name}-{self._found.name}",
         )
 
+    def _placed(self) -> da.Array:
+        return self._rows("instance_id", np.int32, self._unknown)
+
     def compute(self, **options: Any) -> MultiHits:
         """Trace the rays and return the hits.
 
@@ -196,11 +214,12 @@ class LazyMultiHits(_LazyColumns):
         parts = list(found)
         counts = np.concatenate([part["counts"] for part in parts])
         splits = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        t, u, v, prim_id = (
-            np.concatenate([part[name] for part in parts]) for name in blocks.COLUMNS
-        )
+        columns = [
+            np.concatenate([part[name] for part in parts])
+            for name in blocks.columns_of(self._triangles)
+        ]
         status = np.concatenate([part["status"] for part in parts]).reshape(self._shape)
-        return MultiHits(splits, t, u, v, prim_id, status, self._triangles)
+        return MultiHits(splits, *columns[:4], status, self._triangles, *columns[4:])
 
     def persist(self, **options: Any) -> LazyMultiHits:
         """Trace the rays and keep the hits on the workers."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.rendering.environment import texels_of
+from raystream.scene.instancing import InstancedGeometry
 from raystream.scene.lights import (
     DirectionalLight,
     EnvironmentLight,
@@ -20,10 +21,15 @@ from raystream.scene.lights import (
 )
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
+from raystream.scene.primitive_geometry import PrimitiveGeometry
 from raystream.scene.scene import Scene
 from raystream.scene.texture import Texture
+from raystream.structures.saved_stores import arrays_of, instances_of, part_of, primitives_of
 
 _ATTRIBUTES = ("vertices", "faces", "normals", "colors", "texcoords", "material_ids")
+
+#: How the names of `Store.saved_arrays` begin that are of instances, height fields and spheres.
+_GEOMETRY = ("object_ids", "transforms", "worlds", "masks", "field", "spheres")
 
 _LIGHTS: dict[str, type[Light]] = {
     "point": PointLight,
@@ -66,6 +72,13 @@ def pack_scene(scene: Scene) -> tuple[dict[str, Any], Arrays]:
         "up": scene.up.tolist(),
         "name": scene.name,
     }
+    geometry: Any = scene.geometry
+    if geometry.instances is not None:
+        header["mesh_counts"] = list(geometry.mesh_counts)
+    if geometry.instances is not None or geometry.has_primitives:
+        header["has_primitives"] = geometry.has_primitives
+        own = arrays_of(scene.triangles).items()
+        arrays |= {f"geometry.{name}": one for name, one in own if name.startswith(_GEOMETRY)}
     return header, arrays
 
 
@@ -79,7 +92,7 @@ def unpack_scene(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
         assert faces is not None
         meshes.append(Mesh(vertices, faces, name=name, **found))  # type: ignore[arg-type]
     textures = [_unpack_texture(fields, i, arrays) for i, fields in enumerate(header["textures"])]
-    return Scene(
+    scene = Scene(
         meshes,
         materials=[_material(fields, textures) for fields in header["materials"]],
         lights=[_unpack_light(fields, i, arrays) for i, fields in enumerate(header["lights"])],
@@ -87,6 +100,13 @@ def unpack_scene(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
         background=tuple(header["background"]),
         name=header["name"],
     )
+    own = part_of(arrays, "geometry")
+    if header.get("has_primitives"):
+        return scene.with_geometry(PrimitiveGeometry(meshes, *primitives_of(own)))
+    if "mesh_counts" in header:
+        placed = instances_of(own)
+        return scene.with_geometry(InstancedGeometry(meshes, header["mesh_counts"], placed))
+    return scene
 
 
 def _textures_of(materials: Sequence[Material]) -> list[Texture]:

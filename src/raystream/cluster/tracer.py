@@ -11,11 +11,11 @@ import dask
 import dask.array as da
 import numpy as np
 
-from raystream.cluster.blocks import BLOCKS
+from raystream.cluster.blocks import BLOCKS, record_of
 from raystream.cluster.clients import client_of, close
 from raystream.cluster.hits import LazyHits, LazyMultiHits
 from raystream.cluster.rays import LazyRays
-from raystream.cluster.tracer_bundles import pack_tracer
+from raystream.cluster.tracer_bundles import geometry_of, pack_tracer
 from raystream.cluster.uploader import uploader_of
 from raystream.core.choices import DeviceOptions
 from raystream.core.query import UNLIMITED, Crossings, counts_surfaces
@@ -90,10 +90,7 @@ class Tracer:
                 close(self.client)
             raise
         self._header: Mapping[str, Any] = bundle.header
-        if isinstance(scene, LocalTracer):
-            self._triangles = scene.structure.triangles
-        else:
-            self._triangles = scene.triangles
+        self._triangles = geometry_of(scene, options)
         self._is_closed = False
 
     def first_hit(
@@ -192,7 +189,8 @@ class Tracer:
         """Build the Dask array of a query's results, chunk by chunk."""
         if self._is_closed:
             raise ValueError("tracer: is closed; create a new one")
-        block, dtype = BLOCKS[query]
+        block, kind = BLOCKS[query]
+        dtype = kind(self._triangles) if kind is record_of else kind
         given = {"t_min": rays.t_min, "t_max": rays.t_max}
         arrays = [v for v in given.values() if isinstance(v, da.Array)]
         limits = {name: None if isinstance(v, da.Array) else v for name, v in given.items()}

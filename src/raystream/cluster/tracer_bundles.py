@@ -1,11 +1,10 @@
-"""Tracers in bundles: triangles in their local frame, the built structure, and the options."""
+"""Tracers in bundles: geometry and built structure as files have them, and the options."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from raystream.cluster.bundles import Bundle
@@ -14,11 +13,13 @@ from raystream.cluster.scene_bundles import pack_scene, unpack_scene
 from raystream.core.choices import MACHINES, Cpu, DeviceOptions
 from raystream.core.options import Options
 from raystream.core.scene_kinds import check_support
-from raystream.core.triangles import Triangles
 from raystream.scene.scene import Scene
-from raystream.structures import STRUCTURES, StructureOptions, structure_class
+from raystream.structures import STRUCTURES, StructureOptions
+from raystream.structures.saved_stores import part_of, store_of
+from raystream.structures.storage import named_arrays, structure_of
 from raystream.tracer import Tracer
 from raystream.tracer.devices import device_of
+from raystream.tracer.precision import triangles_of
 
 
 def pack_tracer(
@@ -60,10 +61,13 @@ def pack_tracer(
         raise TypeError(f"scene: expected a Scene or Tracer, got {type(scene).__name__}")
     if built is None and (device == "cpu" or isinstance(device, Cpu)):
         built = Tracer(scene, structure, **options)  # type: ignore[arg-type]
-    triangles = scene.structure.triangles if isinstance(scene, Tracer) else scene.triangles
-    check_support("a cluster", triangles)
-    header: dict[str, Any] = {}
-    arrays = _pack_triangles(triangles)
+    store = geometry_of(scene, options)
+    check_support("a cluster", store)
+    header: dict[str, Any] = {"kinds": list(store.kinds)}
+    # Other kinds of geometry than triangles in float32 are made of the scene, where that is sent.
+    has_scene = for_rendering or (built is None and bool(store.kinds))
+    is_made = has_scene and bool(store.kinds)
+    arrays = {} if is_made else named_arrays(store, None if built is None else built.structure)
     if built is None:
         machine = options.get("machine")
         header |= {
@@ -78,9 +82,8 @@ def pack_tracer(
             "device": "cpu",
             "options": {"machine": built.machine, **built.machine_options},
         }
-        arrays |= {f"structure {n}": a for n, a in made.saved_arrays().items()}
     header["is_built"] = built is not None
-    if for_rendering:
+    if has_scene:
         header["scene"], own = pack_scene(scene.scene if isinstance(scene, Tracer) else scene)
         arrays |= own
     return Bundle(header, arrays)
@@ -96,18 +99,19 @@ def unpack_tracer(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]])
     RaystreamError
         If the worker lacks the device.
     """
+    kinds = header["kinds"]
+    scene = unpack_scene(header["scene"], arrays) if "scene" in header else None
     try:
-        triangles = _unpack_triangles(arrays)
-    except KeyError as error:
-        raise ClusterError(f"a bundle lacks the array {error}") from None
-    scene: Scene | None
-    if "scene" in header:
-        bare = unpack_scene(header["scene"], arrays)
-        scene = bare.moved(bare.meshes, triangles)
-    else:
-        scene = None
+        if scene is not None and kinds:
+            store = triangles_of(scene, "float64" if "float64" in kinds else "float32")
+        else:
+            store = store_of(kinds, part_of(arrays, "triangles"))
+    except ValueError as error:
+        raise ClusterError(f"received damaged geometry: {error}") from None
+    if scene is not None and not kinds:
+        scene = scene.moved(scene.meshes, store)
     if not header["is_built"]:
-        scene = scene or Scene.from_triangles(triangles)
+        scene = scene or Scene.from_triangles(store)
         options = {**header["options"]}
         if "machine" in options:
             options["machine"] = _unpacked(options["machine"], MACHINES)
@@ -116,14 +120,9 @@ def unpack_tracer(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]])
         if not isinstance(device, str):
             device = _unpacked(device, {device["name"]: device_of(device["name"]).options})
         return Tracer(scene, structure, device, **options)
-    own = {
-        name.removeprefix("structure "): array
-        for name, array in arrays.items()
-        if name.startswith("structure ")
-    }
     try:
         chosen = _unpacked(header["structure"], STRUCTURES)
-        built = structure_class(chosen.name).from_arrays(triangles, own, chosen)
+        built = structure_of(store, arrays, chosen)
     except ValueError as error:
         raise ClusterError(f"received a damaged structure: {error}") from None
     return Tracer.of_structure(built, scene, header["device"], **header["options"])
@@ -152,19 +151,8 @@ def unpack_scene_from(header: Mapping[str, Any], arrays: Mapping[str, NDArray[An
     return unpack_scene(header["scene"], arrays)
 
 
-def _pack_triangles(triangles: Triangles) -> dict[str, NDArray[Any]]:
-    return {
-        "triangles corners": triangles.corners,
-        "triangles mesh_splits": triangles.mesh_splits,
-        "triangles center": triangles.center,
-        "triangles scale": np.array([float(triangles.scale)]),
-    }
-
-
-def _unpack_triangles(arrays: Mapping[str, NDArray[Any]]) -> Triangles:
-    return Triangles.from_local(
-        arrays["triangles corners"],
-        arrays["triangles mesh_splits"],
-        arrays["triangles center"],
-        float(arrays["triangles scale"][0]),
-    )
+def geometry_of(scene: Scene | Tracer, options: Mapping[str, Any]) -> Any:
+    """The geometry that a tracer with these options traces."""
+    if isinstance(scene, Tracer):
+        return scene.structure.triangles
+    return triangles_of(scene, options.get("precision", "float32"))

@@ -12,12 +12,10 @@ where the columns of M are -direction and the two edges. All is written once, wi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from raystream.core.triangles import Triangles
 
 #: What a miss is replaced by, so that its numbers and gradients are finite: a triangle, and the
 #: direction of a ray that crosses it.
@@ -106,11 +104,34 @@ def _cross(a: Any, b: Any) -> Vector:
     )
 
 
-def corners_of(triangles: Triangles, prim_id: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Vertices 0, 1 and 2 of triangles, shape S + (3, 3), float64, world space; any for -1."""
-    if not len(triangles):
-        return np.zeros((*prim_id.shape, 3, 3))
-    return triangles.to_world(triangles.corners[np.maximum(prim_id, 0)])
+class HitRows(NamedTuple):
+    """What says where hits are, in NumPy arrays of one shape; see `Hits`."""
+
+    u: NDArray[Any]
+    v: NDArray[Any]
+    prim_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
+
+
+def vertex_ids(scene: Any, prim_id: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Rows of the meshes' vertices 0, 1 and 2 of hits, shape S + (3,); any where there are none."""
+    faces: NDArray[np.int32] = scene.attributes.faces
+    faces = faces if len(faces) else np.zeros((1, 3), np.int32)
+    return faces[np.clip(prim_id, 0, len(faces) - 1)]
+
+
+def vertex_slopes(
+    scene: Any, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
+) -> NDArray[np.float64]:
+    """Derivatives of corners in world space by the vertices of meshes, shape S + (3, 3).
+
+    Those of instances' transforms; 0 for spheres, height fields and misses.
+    """
+    placed, linear = scene.placements, np.eye(3)
+    if placed is not None and len(placed):
+        linear = placed.transforms[np.maximum(instance_id, 0), :, :3]
+    is_mesh = (prim_id >= 0) & (prim_id < len(scene.attributes.faces))
+    return np.where(is_mesh[..., None, None], linear, 0.0)
 
 
 def check_vertices(own: Sequence[Any], given: Any, cast: Callable[[Any, Any], Any]) -> None:

@@ -17,6 +17,7 @@ class PaddedHits(NamedTuple):
     u: NDArray[np.float32]
     v: NDArray[np.float32]
     prim_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
 
 
 def pad(found: MultiHits, max_hits: int) -> PaddedHits:
@@ -31,14 +32,15 @@ def pad(found: MultiHits, max_hits: int) -> PaddedHits:
     Returns
     -------
     PaddedHits
-        Of the rays' shape + (max_hits,). Without a hit ``t`` is inf, ``u`` and ``v`` are 0 and
-        ``prim_id`` is -1.
+        Of the rays' shape + (max_hits,). Without a hit ``t`` is inf, ``u`` and ``v`` are 0, and
+        ``prim_id`` and ``instance_id`` are -1.
     """
     shape = (*found.status.shape, max_hits)
     rank = np.arange(len(found.t)) - found.ray_splits[found.ray_id]
     place = found.ray_id * max_hits + rank
     columns = []
-    for values, missing in ((found.t, np.inf), (found.u, 0), (found.v, 0), (found.prim_id, -1)):
+    for name, missing in zip(PaddedHits._fields, (np.inf, 0, 0, -1, -1), strict=True):
+        values = getattr(found, name)
         padded = np.full(shape, missing, values.dtype)
         padded.reshape(-1)[place] = values
         columns.append(padded)

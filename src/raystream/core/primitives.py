@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.attributes import Attributes
 from raystream.core.height_field import HeightField, LocalField
 from raystream.core.solid_parts import SolidPart
-from raystream.core.spheres import Spheres, directions_at
+from raystream.core.spheres import Spheres, directions_at, slopes_at
 from raystream.core.store import Store
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
@@ -257,6 +257,17 @@ class Primitives(Store):
         is_sphere, rows, _ = self._on_spheres(hits)
         sizes[is_sphere] = 2.0 * self.spheres.radii[rows] * self.scale
         return normals, sizes
+
+    def touching_corners(self, hits: HitColumns) -> NDArray[np.float64]:
+        """See `Store.touching_corners`."""
+        corners = super().touching_corners(hits)
+        is_sphere, rows, normals = self._on_spheres(hits)
+        u, v, radii = hits.u[is_sphere], hits.v[is_sphere], self.spheres.radii[rows, None]
+        by_u, by_v = (radii * one for one in slopes_at(u, v))
+        points = self.spheres.centers[rows] + radii * normals
+        first = points - u[:, None] * by_u - v[:, None] * by_v
+        corners[is_sphere] = np.stack([first, first + by_u, first + by_v], axis=1)
+        return corners
 
     def local_positions(self, hits: HitColumns) -> NDArray[np.float64]:
         """Points of hits, shape (..., 3), local frame; NaN for misses."""

@@ -34,8 +34,6 @@ _PRIMITIVES = ("spheres", "fields")
 _ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
 
 # Why a kind of scene lacks a feature.
-_TRIANGLES = "written for triangles of one local frame in float32"
-_FORMAT = "the format stores triangles of one local frame in float32"
 _BOXES = "steps are shown for one tree over triangles"
 _SETS = "worlds are sets of instances"
 
@@ -102,9 +100,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "cutouts=True, with surfaces that are not opaque": Feature(_ALL, "cut-outs in analyses"),
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
         "view_factors": Feature(_ONE_WORLD, "`view_factors`"),
-        "closest points with device='cpu'": Feature(
-            _ALL, '`closest_point`, `signed_distance`, with ``device="cpu"``'
-        ),
+        "closest points": Feature(_ALL, "`closest_point`, `signed_distance`"),
         "inside tests": Feature(
             _ALL,
             "`contains`",
@@ -113,9 +109,9 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "winding numbers": Feature(_ALL, "`winding_number`"),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
         "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
-        "raystream.torch": Feature((), "`raystream.torch`", _TRIANGLES),
-        "raystream.jax": Feature((), "`raystream.jax`", _TRIANGLES),
-        "a cluster": Feature((), "clusters", _FORMAT),
+        "raystream.torch": Feature(_ONE_WORLD, "`raystream.torch`"),
+        "raystream.jax": Feature(_ONE_WORLD, "`raystream.jax`"),
+        "a cluster": Feature(_ONE_WORLD, "clusters", _SETS),
         "walk": Feature((), "`raystream.stepper.walk`", _BOXES),
     }
 )

@@ -84,6 +84,20 @@ def _spread(name: str, values: NDArray[Any], count: int) -> NDArray[Any]:
 NO_SPHERES = Spheres.of(np.zeros((0, 3)), 1.0)
 
 
+def _unfolded(
+    u: NDArray[Any], v: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """The points (u, v) of the octahedron; also x and y of the square, and which are below."""
+    x = 2.0 * np.asarray(u, np.float64) - 1.0
+    y = 2.0 * np.asarray(v, np.float64) - 1.0
+    z = 1.0 - np.abs(x) - np.abs(y)
+    is_below = z < 0.0
+    folded_x = np.where(is_below, (1.0 - np.abs(y)) * np.copysign(1.0, x), x)
+    folded_y = np.where(is_below, (1.0 - np.abs(x)) * np.copysign(1.0, y), y)
+    points = np.stack([folded_x, folded_y, z], axis=-1)
+    return points, np.stack([x, y]), is_below
+
+
 def directions_at(u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
     """Unit vectors, shape (..., 3), from centres to the points (u, v) of spheres.
 
@@ -96,14 +110,23 @@ def directions_at(u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
        Representations for Independent Unit Vectors", Journal of Computer Graphics Techniques
        3(2), 2014.
     """
-    x = 2.0 * np.asarray(u, np.float64) - 1.0
-    y = 2.0 * np.asarray(v, np.float64) - 1.0
-    z = 1.0 - np.abs(x) - np.abs(y)
-    is_below = z < 0.0
-    folded_x = np.where(is_below, (1.0 - np.abs(y)) * np.copysign(1.0, x), x)
-    folded_y = np.where(is_below, (1.0 - np.abs(x)) * np.copysign(1.0, y), y)
-    points = np.stack([folded_x, folded_y, z], axis=-1)
+    points, _, _ = _unfolded(u, v)
     return points / np.linalg.norm(points, axis=-1, keepdims=True)
+
+
+def slopes_at(u: NDArray[Any], v: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The derivatives of `directions_at` by u and v, shape (..., 3) each; one-sided at folds."""
+    points, (x, y), is_below = _unfolded(u, v)
+    length = np.linalg.norm(points, axis=-1, keepdims=True)
+    normals = points / length
+    sign_x, sign_y = np.copysign(1.0, x), np.copysign(1.0, y)
+    own, other = np.where(is_below, 0.0, 1.0), np.where(is_below, -sign_x * sign_y, 0.0)
+    slopes = []
+    for along in ([own, other, -sign_x], [other, own, -sign_y]):
+        by = 2.0 * np.stack(along, axis=-1)  # the square is two wide
+        radial = (normals * by).sum(axis=-1, keepdims=True)
+        slopes.append((by - radial * normals) / length)
+    return slopes[0], slopes[1]
 
 
 def numbers_toward(directions: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -193,6 +193,17 @@ class Store:
         corners = self.corners_at(hits.prim_id, hits.instance_id)
         return self.normals_to_world(self.local_normals(hits), hits.instance_id), size_of(corners)
 
+    def touching_corners(self, hits: HitColumns) -> NDArray[np.float64]:
+        """Corners in world space, shape (..., 3, 3), of triangles with the slopes of hits.
+
+        Of a triangle its own; of a sphere those of one in the plane that touches it at the hit:
+        at u and v, it has the sphere's point and the slopes of that by u and v. 0 for misses.
+        """
+        corners = self.corners_at(hits.prim_id, hits.instance_id)
+        corners = self.points_to_world(corners, hits.instance_id)
+        corners[hits.prim_id < 0] = 0.0
+        return corners
+
     def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
         """Corners of triangles in the scene's local frame, shape (N, 3, 3); NaN without any.
 

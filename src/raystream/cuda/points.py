@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
 
 from raystream.cuda.builders.device_resident import Resident
+from raystream.cuda.bvh.kernels import Traced, layout_of, traced_as
+from raystream.cuda.structures import place_points
 from raystream.jit.cuda import Gpu, RangeKernel
 from raystream.jit.threads import Progress
 from raystream.kernels.answers import thread_of
@@ -26,9 +28,14 @@ _MOST_BYTES = 1 << 28
 
 
 @cache
-def nearest_kernel(name: str) -> RangeKernel:
-    """The kernel of a structure with the form ``"nearest search"``; see `nearest_answer`."""
-    return RangeKernel(thread_of(*nearest_answer(form_of(name, "nearest search"))))
+def nearest_kernel(made: Traced) -> RangeKernel:
+    """The kernel of a structure that is traced so; see `nearest_answer`."""
+    if isinstance(made, str):
+        search = form_of(made, "nearest search")
+    else:
+        held: Any = layout_of(made) or made
+        search = held.point_search
+    return RangeKernel(thread_of(*nearest_answer(search)))
 
 
 class DevicePoints:
@@ -39,7 +46,7 @@ class DevicePoints:
     gpu : Gpu
     structure : Structure
     resident : Resident
-        Its arrays on the device.
+        Its arrays on the device, for rays.
     points_at_once : int
         Most points on the device together; fewer if each has many rows.
     """
@@ -52,7 +59,11 @@ class DevicePoints:
         points_at_once: int,
     ) -> None:
         self._gpu, self._structure, self._at_once = gpu, structure, points_at_once
-        self._resident = resident
+        self._rays = resident
+
+    @cached_property
+    def _resident(self) -> Resident:
+        return place_points(self._structure, self._gpu, self._rays)
 
     def find(self, batch: PointBatch, out: NearestArrays, progress: Progress | None = None) -> None:
         """Find the nearest triangles; see `machines.backend.Backend.find_nearest`."""
@@ -84,5 +95,5 @@ class DevicePoints:
         shared = structure.frame, self._resident.tree, np.uint64(capacity)
         scene = PointScene(*source, *shared, rows.address, None)
         to = NearestArrays(*(one.address for one in answers))
-        nearest_kernel(structure.name).launch(gpu, count, (scene, to))
+        nearest_kernel(traced_as(structure)).launch(gpu, count, (scene, to))
         return answers

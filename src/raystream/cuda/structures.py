@@ -6,12 +6,13 @@ from functools import cache
 from typing import Any
 
 from raystream.cuda.builders.device_resident import DeviceResident, Resident
-from raystream.cuda.bvh.kernels import Traced, lay_out, layout_of, traced_as
+from raystream.cuda.bvh.kernels import LaidOut, Traced, lay_out, layout_of, traced_as
 from raystream.cuda.nested import AddressMap, SharedAllocation
 from raystream.cuda.query_kernels import make_kernels
 from raystream.jit.cuda import CudaError, Gpu
 from raystream.kernels.queries import RayAnswers
 from raystream.structures import STRUCTURES, Structure, structure_class
+from raystream.structures.base import Nested
 
 
 def kernels_of(made: Traced, *, is_own: bool = False) -> RayAnswers:
@@ -60,8 +61,26 @@ def place(structure: Structure, gpu: Gpu, *, is_own: bool = False) -> Resident:
     is_own = is_own or layout_of(traced_as(structure)) is None
     if isinstance(structure, DeviceResident) and structure.gpu.number == gpu.number:
         return structure.resident if is_own else structure.laid_out
-    tree, given, make_nested = lay_out(structure, is_own=is_own)
-    nested = structure.nested
+    laid = lay_out(structure, is_own=is_own)
+    return _copied(structure, gpu, laid, structure.nested, is_own)
+
+
+def place_points(structure: Any, gpu: Gpu, resident: Resident) -> Resident:
+    """What searches of points read: the same, but among instances; see `place`."""
+    if structure.triangles.instances is None:
+        return resident
+    laid, nested = lay_out(structure), structure.nested
+    arrays = {"nodes": laid.arrays["nodes"], "leaves": structure.placed}
+    laid = laid._replace(tree=structure.point_view, arrays=arrays)
+    nested = Nested(nested.arrays, {"leaves": nested.fields["objects"]})
+    return _copied(structure, gpu, laid, nested, layout_of(traced_as(structure)) is None)
+
+
+def _copied(
+    structure: Structure, gpu: Gpu, laid: LaidOut, nested: Nested, is_own: bool
+) -> Resident:
+    """Copies of arrays, and the addresses in them; see `place`."""
+    tree, given, make_nested = laid
     # Address 0 marks arrays that are absent.
     memory = {name: one for name, one in given.items() if getattr(tree, name, one.size)}
     name = f"{structure.name}, objects{'' if is_own else ', binary nodes'}"

@@ -8,13 +8,21 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.dtypes import canonicalize_dtype
 from numpy.typing import NDArray
 
-from raystream.core.crossing import check_vertices, corners_of, inverse_rows, points_at
+from raystream.core.crossing import (
+    HitRows,
+    check_vertices,
+    inverse_rows,
+    points_at,
+    vertex_ids,
+    vertex_slopes,
+)
 from raystream.core.padded_hits import pad
 from raystream.tracer import Tracer
 
-Columns = tuple[Any, Any, Any, Any]
+Columns = tuple[Any, Any, Any, Any, Any]
 
 
 # ---- On the host, with NumPy.
@@ -44,7 +52,12 @@ def _host(tracer: Tracer, arrays: tuple[Any, ...]) -> dict[str, Any]:
 
 def _first_on_host(tracer: Tracer, *rays: Any) -> tuple[NDArray[Any], ...]:
     hits = tracer.first_hit(**_host(tracer, rays))
-    return hits.t, hits.u, hits.v, hits.prim_id
+    return _in_jax_types(hits.t, hits.u, hits.v, hits.prim_id, hits.instance_id)
+
+
+def _in_jax_types(*columns: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Columns without float64, unless JAX has that."""
+    return tuple(one.astype(canonicalize_dtype(one.dtype), copy=False) for one in columns)
 
 
 def _any_on_host(tracer: Tracer, *rays: Any) -> NDArray[np.bool_]:
@@ -59,19 +72,23 @@ def _multi_on_host(
     tracer: Tracer, max_hits: int, crossings: Any, *rays: Any
 ) -> tuple[NDArray[Any], ...]:
     found = tracer.multi_hit(**_host(tracer, rays), max_hits=max_hits, crossings=crossings)
-    return tuple(pad(found, max_hits))
+    return _in_jax_types(*pad(found, max_hits))
 
 
-def _corners_on_host(tracer: Tracer, dtype: Any, prim_id: Any) -> NDArray[Any]:
-    return corners_of(tracer.structure.triangles, np.asarray(prim_id)).astype(dtype)
+def _corners_on_host(tracer: Tracer, dtype: Any, *rows: Any) -> NDArray[Any]:
+    hits: Any = HitRows(*np.broadcast_arrays(*rows))
+    return tracer.structure.triangles.touching_corners(hits).astype(dtype)
 
 
 def _vertex_ids_on_host(tracer: Tracer, prim_id: Any, *vertices: Any) -> NDArray[np.int32]:
     ids = np.asarray(prim_id)
     batch = _checked(tracer, vertices, ids.ndim)
-    faces = tracer.scene.attributes.faces
-    faces = faces if len(faces) else np.zeros((1, 3), np.int32)
-    return faces[np.broadcast_to(np.maximum(ids, 0), np.broadcast_shapes(ids.shape, batch))]
+    ids = np.broadcast_to(ids, np.broadcast_shapes(ids.shape, batch))
+    return vertex_ids(tracer.scene, ids)
+
+
+def _slopes_on_host(tracer: Tracer, dtype: Any, *ids: Any) -> NDArray[Any]:
+    return vertex_slopes(tracer.scene, *np.broadcast_arrays(*ids)).astype(dtype)
 
 
 # ---- In JAX.
@@ -94,9 +111,10 @@ def _shape(rays: tuple[Any, ...], *more: int) -> tuple[int, ...]:
     return (*leading, *more)
 
 
-def _columns(shape: tuple[int, ...]) -> Any:
-    number, index = jax.ShapeDtypeStruct(shape, jnp.float32), jax.ShapeDtypeStruct(shape, jnp.int32)
-    return number, number, number, index
+def _columns(tracer: Tracer, shape: tuple[int, ...]) -> Any:
+    dtype = canonicalize_dtype(tracer.structure.triangles.number_type)
+    number, index = jax.ShapeDtypeStruct(shape, dtype), jax.ShapeDtypeStruct(shape, jnp.int32)
+    return number, number, number, index, index
 
 
 def any_hit(tracer: Tracer, rays: tuple[Any, ...]) -> Any:
@@ -114,7 +132,7 @@ def count_hits(tracer: Tracer, crossings: str, rays: tuple[Any, ...]) -> Any:
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def first_hit(tracer: Tracer, rays: tuple[Any, ...], vertices: Any) -> Columns:
     """t, u, v and prim_id of the nearest hits; see `Tracer.first_hit`."""
-    return _ask(partial(_first_on_host, tracer), _columns(_shape(rays)), rays, vertices)
+    return _ask(partial(_first_on_host, tracer), _columns(tracer, _shape(rays)), rays, vertices)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
@@ -123,7 +141,7 @@ def multi_hit(
 ) -> Columns:
     """t, u, v and prim_id of the nearest few hits; see `Tracer.multi_hit`."""
     host = partial(_multi_on_host, tracer, max_hits, crossings)
-    return _ask(host, _columns(_shape(rays, max_hits)), rays, vertices)
+    return _ask(host, _columns(tracer, _shape(rays, max_hits)), rays, vertices)
 
 
 @first_hit.defjvp
@@ -144,10 +162,10 @@ def _multi_hit_derivatives(
 
 def _derivatives(tracer: Tracer, found: Columns, primals: Any, tangents: Any, lone: Any) -> Any:
     """Derivatives of t, u and v, with the hit triangles held fixed: see `core.crossing`."""
-    t, u, v, prim_id = found
+    t, u, v, prim_id, _ = found
     is_hit = prim_id >= 0
     (rays, vertices), (ray_tangents, vertex_tangents) = primals, tangents
-    corners = _corners(tracer, prim_id, vertices)
+    corners = _corners(tracer, found, vertices)
     rows = inverse_rows(jnp, _float(lone(rays[1])), corners, is_hit)
     t = jnp.where(is_hit, t, 0.0)
     change: Any = 0.0
@@ -157,13 +175,14 @@ def _derivatives(tracer: Tracer, found: Columns, primals: Any, tangents: Any, lo
     if vertices is not None:
         ids = _vertex_ids(tracer, prim_id, None)
         weights = jnp.stack((1.0 - u - v, u, v), axis=-1)
-        change = change - (weights[..., None] * _float(vertex_tangents)[ids]).sum(axis=-2)
+        moved = (weights[..., None] * _float(vertex_tangents)[ids]).sum(axis=-2)
+        change = change - _of_vertices(tracer, found, moved)
     change = jnp.broadcast_to(change, (*prim_id.shape, 3))
     slopes = [
         sum(row[k] * jnp.where(is_hit, change[..., k], 0.0) for k in range(3)) for row in rows
     ]
-    floats = tuple(jnp.asarray(one, jnp.float32) for one in slopes)
-    return (*floats, np.zeros(prim_id.shape, jax.dtypes.float0))
+    none = np.zeros(prim_id.shape, jax.dtypes.float0)
+    return (*(jnp.asarray(one, found[0].dtype) for one in slopes), none, none)
 
 
 def _float(array: Any) -> Any:
@@ -173,31 +192,52 @@ def _float(array: Any) -> Any:
 
 def points(tracer: Tracer, hits: Columns, vertices: Any) -> Any:
     """Points on the triangles that were hit, of the hits' shape + (3,)."""
-    _, u, v, prim_id = hits
-    corners = _corners(tracer, prim_id, vertices, is_checked=False)
+    _, u, v, prim_id, _ = hits
+    corners = _corners(tracer, hits, vertices, is_checked=False)
     u, v = u.astype(corners.dtype), v.astype(corners.dtype)
     return jnp.stack(points_at(jnp, corners, u, v, prim_id >= 0), axis=-1)
 
 
-def _corners(tracer: Tracer, prim_id: Any, vertices: Any, *, is_checked: bool = True) -> Any:
-    """Corners of triangles, of the hits' shape + (3, 3)."""
-    if vertices is None:
-        return _constant_corners(tracer, prim_id)
-    return _float(vertices)[_vertex_ids(tracer, prim_id, None if is_checked else vertices)]
+def _corners(tracer: Tracer, hits: Columns, vertices: Any, *, is_checked: bool = True) -> Any:
+    """Corners of triangles, or of what touches surfaces, of the hits' shape + (3, 3)."""
+    if vertices is not None:
+        ids = _vertex_ids(tracer, hits[3], None if is_checked else vertices)
+        moved = _float(vertices)[ids]
+        if _is_meshes(tracer):
+            return moved
+    corners = _constant(_corners_on_host, tracer, *hits[1:])
+    if vertices is not None:
+        corners = corners + _of_vertices(tracer, hits, moved - jax.lax.stop_gradient(moved))
+    return corners
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _constant_corners(tracer: Tracer, prim_id: Any) -> Any:
+def _is_meshes(tracer: Tracer) -> bool:
+    """Whether all that can be hit is triangles of meshes, where they are."""
+    store = tracer.structure.triangles
+    return store.instances is None and not store.has_primitives
+
+
+def _of_vertices(tracer: Tracer, hits: Columns, moved: Any) -> Any:
+    """Changes of vertices, or of points between them, in world space."""
+    if _is_meshes(tracer):
+        return moved
+    slopes = _constant(_slopes_on_host, tracer, *hits[3:])
+    slopes = slopes.reshape(*slopes.shape[:-2], *(1,) * (moved.ndim - slopes.ndim + 1), 3, 3)
+    return (slopes @ moved[..., None])[..., 0]
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _constant(host: Any, tracer: Tracer, *rows: Any) -> Any:
+    """What the host says of hits, of their shape + (3, 3), without derivatives."""
     dtype = jnp.result_type(float)
-    result = jax.ShapeDtypeStruct((*prim_id.shape, 3, 3), dtype)
-    host = partial(_corners_on_host, tracer, dtype)
-    return jax.pure_callback(host, result, prim_id, vmap_method="expand_dims")
+    result = jax.ShapeDtypeStruct((*rows[0].shape, 3, 3), dtype)
+    return jax.pure_callback(partial(host, tracer, dtype), result, *rows, vmap_method="expand_dims")
 
 
-@_constant_corners.defjvp
-def _no_derivatives_of_corners(tracer: Tracer, primals: Any, _: Any) -> Any:
-    corners = _constant_corners(tracer, *primals)
-    return corners, jnp.zeros_like(corners)
+@_constant.defjvp
+def _no_derivatives(host: Any, tracer: Tracer, primals: Any, _: Any) -> Any:
+    found = _constant(host, tracer, *primals)
+    return found, jnp.zeros_like(found)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))

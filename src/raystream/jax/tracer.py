@@ -18,7 +18,7 @@ from raystream.tracer import Tracer
 
 
 class JaxHits(NamedTuple):
-    """Hits in arrays of the rays' shape S, or S + (max_hits,): ``t``, ``u``, ``v``, ``prim_id``.
+    """Hits in arrays of the rays' shape S, or S + (max_hits,).
 
     See `Hits` for what they are; ``t``, ``u`` and ``v`` have derivatives.
     """
@@ -27,6 +27,7 @@ class JaxHits(NamedTuple):
     u: jax.Array
     v: jax.Array
     prim_id: jax.Array
+    instance_id: jax.Array
 
 
 class JaxTracer:
@@ -60,6 +61,12 @@ class JaxTracer:
     triangle. **They say nothing about visibility**: where a ray passes from one triangle to
     another, over an edge or a silhouette, the result jumps, which the derivative does not reflect.
     Misses have no derivatives: they contribute zeros, never NaN.
+
+    Scenes may have instances, spheres and height fields, and be traced in float64, of which ``t``,
+    ``u`` and ``v`` are float64 with ``jax_enable_x64``. Vertices of instances are those of their
+    objects, and have the derivatives of all instances. Spheres and height fields have no vertices:
+    derivatives are by rays. Those of a sphere are of the first order only: derivatives of these
+    are of the plane that touches it.
 
     Examples
     --------

@@ -252,7 +252,11 @@ class Scene(PrimitiveScene):
         triangles : Triangles, optional
             Their triangles [default: made when they are needed].
         """
-        return self._with(_geometry=Geometry(meshes, triangles))
+        return self.with_geometry(Geometry(meshes, triangles))
+
+    def with_geometry(self, geometry: Geometry) -> Scene:
+        """Copy the scene with other geometry, of the same materials."""
+        return self._with(_geometry=geometry)
 
     @property
     def meshes(self) -> tuple[Mesh, ...]:

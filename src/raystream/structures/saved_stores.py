@@ -60,7 +60,7 @@ def same_geometry(one: Store, other: Store) -> bool:
     )
 
 
-def _part(arrays: Arrays, name: str) -> dict[str, NDArray[Any]]:
+def part_of(arrays: Arrays, name: str) -> dict[str, NDArray[Any]]:
     """The arrays whose names begin with a word, by what follows it."""
     begin = f"{name}."
     return {
@@ -115,25 +115,36 @@ def _float64(arrays: Arrays) -> Float64Triangles:
 
 def _instances(arrays: Arrays) -> InstancedTriangles:
     objects: list[Triangles] = []
-    while own := _part(arrays, f"object{len(objects)}"):
+    while own := part_of(arrays, f"object{len(objects)}"):
         objects.append(_triangles(own))
+    splits = _splits(arrays, sum(map(len, objects)))
+    known = Attributes((), _mesh_masks(arrays, splits))
+    return InstancedTriangles(objects, instances_of(arrays), splits, known)
+
+
+def instances_of(arrays: Arrays) -> Instances:
+    """The instances of `InstancedTriangles.saved_arrays`."""
     ids = take(arrays, "object_ids", np.int32, (None,))
-    placed = Instances(
+    return Instances(
         ids,
         take(arrays, "transforms", np.float64, (None, 3, 4)),
         take(arrays, "worlds", np.int32, (None,)) if "worlds" in arrays else None,
         masks=_masks(arrays, "instances", len(ids)) if "masks.instances" in arrays else None,
     )
-    splits = _splits(arrays, sum(map(len, objects)))
-    known = Attributes((), _mesh_masks(arrays, splits))
-    return InstancedTriangles(objects, placed, splits, known)
 
 
 def _primitives(arrays: Arrays) -> Primitives:
+    triangles = _triangles(part_of(arrays, "triangles"))
+    known = Attributes((), _mesh_masks(arrays, triangles.mesh_splits))
+    return Primitives(triangles, *primitives_of(arrays), known)
+
+
+def primitives_of(arrays: Arrays) -> tuple[list[HeightField], Spheres]:
+    """The height fields and spheres of `Primitives.saved_arrays`."""
     fields: list[HeightField] = []
-    while own := _part(arrays, f"field{len(fields)}"):
+    while own := part_of(arrays, f"field{len(fields)}"):
         fields.append(_field(own))
-    own = _part(arrays, "spheres")
+    own = part_of(arrays, "spheres")
     spheres = Spheres.of(
         take(own, "centers", np.float64, (None, 3)),
         take(own, "radii", np.float64, (None,)),
@@ -142,9 +153,7 @@ def _primitives(arrays: Arrays) -> Primitives:
     spheres = dataclasses.replace(spheres, masks=_masks(arrays, "spheres", len(spheres)))
     for field, mask in zip(fields, _masks(arrays, "fields", len(fields)), strict=True):
         field.mask = int(mask)
-    triangles = _triangles(_part(arrays, "triangles"))
-    known = Attributes((), _mesh_masks(arrays, triangles.mesh_splits))
-    return Primitives(triangles, fields, spheres, known)
+    return fields, spheres
 
 
 def _field(arrays: Arrays) -> HeightField:

@@ -12,9 +12,16 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.core.npz import read_npz, write_npz
+from raystream.core.store import Store
 from raystream.structures import STRUCTURES, StructureOptions, builder_for
 from raystream.structures.base import Structure
-from raystream.structures.saved_stores import arrays_of, same_geometry, store_of
+from raystream.structures.saved_stores import (
+    Arrays,
+    arrays_of,
+    part_of,
+    same_geometry,
+    store_of,
+)
 
 #: Increased by every change that makes older files unreadable.
 FORMAT_VERSION = 3
@@ -45,13 +52,34 @@ def save_structure(path: str | PathLike[str], structure: Structure) -> None:
         "options": structure.options.as_json(),
         **({"kinds": triangles.kinds} if triangles.kinds else {}),
     }
-    arrays: dict[str, NDArray[Any]] = {
-        "header": np.frombuffer(json.dumps(header).encode(), np.uint8),
-        **{f"triangles.{name}": one for name, one in arrays_of(triangles).items()},
-    }
-    for name, array in structure.saved_arrays().items():
-        arrays[f"structure.{name}"] = array
-    write_npz(path, arrays)
+    arrays = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
+    write_npz(path, arrays | named_arrays(triangles, structure))
+
+
+def named_arrays(triangles: Store, structure: Structure | None = None) -> dict[str, NDArray[Any]]:
+    """What files and bundles hold of geometry, and of a structure of it, by name."""
+    arrays = {f"triangles.{name}": one for name, one in arrays_of(triangles).items()}
+    if structure is not None:
+        own = structure.saved_arrays().items()
+        arrays |= {f"structure.{name}": one for name, one in own}
+    return arrays
+
+
+def structure_of(triangles: Store, arrays: Arrays, options: StructureOptions) -> Structure:
+    """The structure of geometry from `named_arrays`, or built where these have none of it.
+
+    Raises
+    ------
+    ValueError
+        If an array is missing or invalid.
+    """
+    build = builder_for(options.name, triangles)
+    made: Structure = (
+        build(triangles, options)
+        if triangles.kinds
+        else build.from_arrays(triangles, part_of(arrays, "structure"), options)
+    )
+    return made
 
 
 def load_structure(
@@ -77,30 +105,13 @@ def load_structure(
     arrays = read_npz(path)
     made, options, kinds = _header(path, arrays)
     try:
-        stored: Any = store_of(
-            kinds,
-            {
-                name.removeprefix("triangles."): array
-                for name, array in arrays.items()
-                if name.startswith("triangles.")
-            },
-        )
+        stored: Any = store_of(kinds, part_of(arrays, "triangles"))
         if triangles_in is not None:
             given = triangles_in("float64" if stored.number_type is np.float64 else "float32")
             if not same_geometry(stored, given):
                 raise ValueError("was built from other triangles than the scene's; rebuild it")
             stored = given
-        own = {
-            name.removeprefix("structure."): array
-            for name, array in arrays.items()
-            if name.startswith("structure.")
-        }
-        build = builder_for(made.name, stored)
-        chosen = _options(made, options)
-        restored: Structure = (
-            build(stored, chosen) if stored.kinds else build.from_arrays(stored, own, chosen)
-        )
-        return restored
+        return structure_of(stored, arrays, _options(made, options))
     except ValueError as error:
         raise FileFormatError(path, str(error)) from None
 

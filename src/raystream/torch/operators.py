@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from raystream.core.array_checks import leading_shape
-from raystream.core.crossing import check_vertices, corners_of
+from raystream.core.crossing import HitRows, check_vertices, vertex_ids, vertex_slopes
 from raystream.core.padded_hits import pad
 from raystream.tracer import Tracer
 
@@ -50,8 +50,10 @@ def _checked(number: int, vertices: Tensor | None) -> Tracer:
     return tracer
 
 
-def _columns(hits: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    return hits.t, hits.u, hits.v, hits.prim_id
+def _columns(tracer: Tracer, hits: Any) -> tuple[Tensor, ...]:
+    is_placed = tracer.scene.placements is not None
+    instance_id = hits.instance_id if is_placed else hits.prim_id.clamp(max=0)
+    return hits.t, hits.u, hits.v, hits.prim_id, instance_id
 
 
 def _operator(name: str, schema: str, run: Any, fake: Any, vmap: Any) -> None:
@@ -70,7 +72,7 @@ def _first_hit(
     vertices: Tensor | None = None,
 ) -> tuple[Tensor, ...]:
     asked = _checked(tracer, vertices)
-    return _columns(asked.first_hit(origins, directions, t_min=t_min, t_max=t_max))
+    return _columns(asked, asked.first_hit(origins, directions, t_min=t_min, t_max=t_max))
 
 
 def _any_hit(tracer: int, origins: Tensor, directions: Tensor, t_min: Tensor, t_max: Tensor) -> Any:
@@ -109,16 +111,20 @@ def _multi_hit(
     return tuple(torch.from_numpy(one).to(origins.device) for one in padded)
 
 
-def _corners(tracer: int, prim_id: Tensor) -> Tensor:
-    corners = corners_of(_tracer(tracer).structure.triangles, prim_id.cpu().numpy())
+def _corners(tracer: int, u: Tensor, v: Tensor, prim_id: Tensor, instance_id: Tensor) -> Tensor:
+    rows: Any = HitRows(*(one.cpu().numpy() for one in (u, v, prim_id, instance_id)))
+    corners = _tracer(tracer).structure.triangles.touching_corners(rows)
     return torch.from_numpy(corners).to(prim_id.device)
 
 
 def _vertex_ids(tracer: int, prim_id: Tensor, vertices: Tensor | None = None) -> Tensor:
-    faces = _checked(tracer, vertices).scene.attributes.faces
-    faces = faces if len(faces) else np.zeros((1, 3), np.int32)
-    ids = faces[np.maximum(prim_id.cpu().numpy(), 0)].astype(np.int64)
-    return torch.from_numpy(ids).to(prim_id.device)
+    ids = vertex_ids(_checked(tracer, vertices).scene, prim_id.cpu().numpy())
+    return torch.from_numpy(ids.astype(np.int64)).to(prim_id.device)
+
+
+def _vertex_slopes(tracer: int, prim_id: Tensor, instance_id: Tensor) -> Tensor:
+    ids = prim_id.cpu().numpy(), instance_id.cpu().numpy()
+    return torch.from_numpy(vertex_slopes(_tracer(tracer).scene, *ids)).to(prim_id.device)
 
 
 def _fake(origins: Tensor, directions: Tensor, dtype: torch.dtype, *more: int) -> Tensor:
@@ -126,9 +132,10 @@ def _fake(origins: Tensor, directions: Tensor, dtype: torch.dtype, *more: int) -
     return origins.new_empty((*shape, *more), dtype=dtype)
 
 
-def _fake_hits(origins: Tensor, directions: Tensor, *more: int) -> tuple[Tensor, ...]:
-    floats = [_fake(origins, directions, torch.float32, *more) for _ in range(3)]
-    return (*floats, _fake(origins, directions, torch.int32, *more))
+def _fake_hits(tracer: int, o: Tensor, d: Tensor, *more: int) -> tuple[Tensor, ...]:
+    is_wide = _tracer(tracer).structure.triangles.number_type is np.float64
+    kinds = [torch.float64 if is_wide else torch.float32] * 3 + [torch.int32] * 2
+    return tuple(_fake(o, d, kind, *more) for kind in kinds)
 
 
 def _first(argument: Any, axis: int | None) -> Any:
@@ -177,13 +184,13 @@ def _rows_of_batch(ask: Any) -> Any:
 
 def _define() -> None:
     ops = torch.ops.raystream
-    hits = "(Tensor, Tensor, Tensor, Tensor)"
+    hits = "(Tensor, Tensor, Tensor, Tensor, Tensor)"
     _operator(
         "first_hit",
         f"(int tracer, {_RAYS}, {_CHECKED}) -> {hits}",
         _first_hit,
-        lambda tracer, o, d, t_min, t_max, vertices=None: _fake_hits(o, d),
-        _one_batch(lambda *rays: ops.first_hit(*rays), 4),
+        lambda tracer, o, d, t_min, t_max, vertices=None: _fake_hits(tracer, o, d),
+        _one_batch(lambda *rays: ops.first_hit(*rays), 5),
     )
     _operator(
         "any_hit",
@@ -203,15 +210,24 @@ def _define() -> None:
         "multi_hit",
         f"(int tracer, {_RAYS}, int max_hits, bool surfaces, {_CHECKED}) -> {hits}",
         _multi_hit,
-        lambda tracer, o, d, t_min, t_max, most, surfaces, vertices=None: _fake_hits(o, d, most),
-        _one_batch(lambda *rays: ops.multi_hit(*rays), 4),
+        lambda tracer, o, d, t_min, t_max, most, surfaces, vertices=None: _fake_hits(
+            tracer, o, d, most
+        ),
+        _one_batch(lambda *rays: ops.multi_hit(*rays), 5),
     )
     _operator(
         "corners",
-        "(int tracer, Tensor prim_id) -> Tensor",
+        "(int tracer, Tensor u, Tensor v, Tensor prim_id, Tensor instance_id) -> Tensor",
         _corners,
-        lambda tracer, prim_id: prim_id.new_empty((*prim_id.shape, 3, 3), dtype=torch.float64),
+        lambda tracer, u, *ids: u.new_empty((*u.shape, 3, 3), dtype=torch.float64),
         _rows_of_batch(lambda *rows: ops.corners(*rows)),
+    )
+    _operator(
+        "vertex_slopes",
+        "(int tracer, Tensor prim_id, Tensor instance_id) -> Tensor",
+        _vertex_slopes,
+        lambda tracer, prim_id, _: prim_id.new_empty((*prim_id.shape, 3, 3), dtype=torch.float64),
+        _rows_of_batch(lambda *rows: ops.vertex_slopes(*rows)),
     )
     _operator(
         "vertex_ids",

@@ -25,7 +25,7 @@ _REAL = frozenset(
 
 
 class TorchHits(NamedTuple):
-    """Hits in tensors of the rays' shape S, or S + (max_hits,): ``t``, ``u``, ``v``, ``prim_id``.
+    """Hits in tensors of the rays' shape S, or S + (max_hits,).
 
     See `Hits` for what they are; ``t``, ``u`` and ``v`` have gradients if the rays or vertices
     require them.
@@ -35,6 +35,7 @@ class TorchHits(NamedTuple):
     u: Tensor
     v: Tensor
     prim_id: Tensor
+    instance_id: Tensor
 
 
 class TorchTracer:
@@ -67,6 +68,11 @@ class TorchTracer:
     contribute zeros, never NaN. Reverse mode can be applied any number of times; forward mode is
     not supported.
 
+    Scenes may have instances, spheres and height fields, and be traced in float64. Vertices of
+    instances are those of their objects, and have the gradients of all instances. Spheres and
+    height fields have no vertices: gradients flow to rays. Those of a sphere are of the first
+    order only: derivatives of these are of the plane that touches it.
+
     Examples
     --------
     >>> import torch
@@ -86,6 +92,8 @@ class TorchTracer:
         check_support("raystream.torch", tracer.structure.triangles)
         self.tracer = tracer
         self._number = register(tracer)
+        store = tracer.structure.triangles
+        self._is_meshes = store.instances is None and not store.has_primitives
 
     def __reduce__(self) -> Any:
         return type(self), (self.tracer,)
@@ -226,7 +234,7 @@ class TorchTracer:
             World space, interpolated from the vertices; a miss has NaN.
         """
         given = _joined(vertices)
-        corners = self._corners(hits.prim_id, given, *_detached(given))
+        corners = self._corners(hits, given, *_detached(given))
         weights = hits.u.double(), hits.v.double()
         return torch.stack(points_at(torch, corners, *weights, hits.prim_id >= 0), dim=-1)
 
@@ -235,20 +243,26 @@ class TorchTracer:
         inputs = (*rays[:2], *(() if given is None else (given,)))
         if not (torch.is_grad_enabled() and any(one.requires_grad for one in inputs)):
             return hits
-        corners = self._corners(hits.prim_id, given)
+        corners = self._corners(hits, given)
         shape = (*hits.t.shape, 3)
         vectors = (one.double().expand(shape) for one in rays[:2])
         t, u, v = _Crossing.apply(*hits[:3], hits.prim_id >= 0, *vectors, corners)
-        return TorchHits(t, u, v, hits.prim_id)
+        return hits._replace(t=t, u=u, v=v)
 
     def _corners(
-        self, prim_id: Tensor, given: Tensor | None, checked: Tensor | None = None
+        self, hits: TorchHits, given: Tensor | None, checked: Tensor | None = None
     ) -> Tensor:
-        """The hit triangles' corners, shape S + (3, 3), float64."""
-        if given is None:
-            return torch.ops.raystream.corners(self._number, prim_id)
-        rows = torch.ops.raystream.vertex_ids(self._number, prim_id, checked)
-        return given[rows].double()
+        """Corners of triangles, or of what touches surfaces, shape S + (3, 3), float64."""
+        ops, number, ids = torch.ops.raystream, self._number, hits[3:]
+        if given is not None:
+            moved = given[ops.vertex_ids(number, hits.prim_id, checked)].double()
+            if self._is_meshes:
+                return moved
+        corners = ops.corners(number, *_detached(*hits[1:3]), *ids)
+        if given is not None:
+            slopes, change = ops.vertex_slopes(number, *ids), moved - moved.detach()
+            corners = corners + change @ slopes.transpose(-1, -2)
+        return corners
 
     def __repr__(self) -> str:
         return f"TorchTracer({self.tracer!r})"

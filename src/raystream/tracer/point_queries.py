@@ -435,9 +435,7 @@ class PointQueries(RayCaster):
 
     def _check_points(self) -> None:
         """Check that the structure and the backend find closest points."""
-        # Other kinds of scene than triangles in float32 have loops for the CPU alone.
-        feature = f"closest points with device={self.device!r}"
-        check_support(feature, self.structure.triangles)
+        check_support("closest points", self.structure.triangles)
         known = names_with("nearest")
         if self.structure.name not in known or not self._backend.capabilities.points:
             names = " or ".join(f"structure={name!r}" for name in known)

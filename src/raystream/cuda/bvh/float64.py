@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from raystream.cuda.bvh import binary
+from raystream.cuda.bvh import binary, points
 from raystream.cuda.bvh.kernels import LaidOut, with_arrays
 from raystream.cuda.bvh.walk import binary_walk, one_tree
+from raystream.geometry.float64.nearest import tree_search
 from raystream.geometry.float64.queries import LANES_BYTES
 from raystream.geometry.float64.structure import Float64Bvh
 from raystream.geometry.float64.traversal import blocks_by, box_interval
@@ -45,6 +46,8 @@ def _walk(
 
 
 traverse = blocks_by(_walk, _enter)
+
+point_search = tree_search(points.nearest_walk, points.STACK_BYTES)
 
 
 def lay_out(structure: Float64Bvh) -> LaidOut:

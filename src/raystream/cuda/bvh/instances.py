@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.cuda.bvh import binary
+from raystream.cuda.bvh import binary, points
 from raystream.cuda.bvh.kernels import LaidOut, with_arrays
 from raystream.cuda.bvh.triangles import search_triangles
 from raystream.cuda.bvh.walk import DONE, ENTRY, NEXT, ROOT, ray_traversal
+from raystream.geometry.instances.nearest import ADJACENT, offer_placed, trees_search
 from raystream.geometry.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
 from raystream.geometry.instances.structure import InstancedBvh
 from raystream.jit.constants import NULL, TWO_U64, ZERO_U64
@@ -130,6 +131,11 @@ def traverse(scene, ray, search, stack):
         if is_full(search):
             break
     return search
+
+
+point_search = trees_search(
+    points.triangle_leaf(offer_placed), ADJACENT, points.nearest_walk, points.STACK_BYTES
+)
 
 
 def lay_out(structure: InstancedBvh) -> LaidOut:

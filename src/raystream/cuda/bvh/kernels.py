@@ -16,7 +16,7 @@ Traced = str | type[Structure]
 
 #: Form of structures that have their own layouts and kernels on the device: a module with
 #: ``lay_out(structure)``, a `LaidOut`, and for that layout the structure's ``traverse`` and
-#: ``stack_bytes``.
+#: ``stack_bytes``; those of `_MODULES` also its ``point_search``.
 LAYOUTS = "cuda kernels"
 
 #: These modules for structures that are not known by a name of their own.

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.cuda.bvh import binary, triangles
+from raystream.cuda.bvh import binary, points, triangles
 from raystream.cuda.bvh.kernels import LaidOut, with_arrays
 from raystream.cuda.bvh.walk import one_tree, ray_traversal
 from raystream.geometry.fields.cells import FIELD_BYTES
+from raystream.geometry.primitives.nearest import trees_search
 from raystream.geometry.primitives.structure import PrimitiveBvh
 from raystream.geometry.primitives.traversal import search_spheres, trees_traversal
 from raystream.jit.cpu import device
@@ -29,6 +30,8 @@ _traverse_spheres = ray_traversal(one_tree(_search_leaf))
 traverse = device(
     trees_traversal(triangles.traverse, _traverse_spheres, np.uint64(binary.STACK_BYTES))
 )
+
+point_search = trees_search(points.walk_triangles, points.nearest_walk, points.STACK_BYTES)
 
 
 def lay_out(structure: PrimitiveBvh) -> LaidOut:

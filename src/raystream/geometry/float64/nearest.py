@@ -6,7 +6,8 @@ vertex is rounded, and differences are small where the point is near. Boxes are 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -73,13 +74,16 @@ def _visit_leaf(tree, child, line, search, _stack):
     return search, False
 
 
-_walk = nearest_walk(_visit_leaf)
+def tree_search(walk_of: Callable[..., Any], stack_bytes: int) -> PointSearch:
+    """Make the search of the tree; see `structures.bvh.nearest.nearest_walk` for the walk."""
+    walk = walk_of(_visit_leaf)
 
+    @device
+    def find_in_tree(tree, frame, query, search, stack):
+        own = _ScaledTree(tree.nodes, tree.leaves, frame.scale)
+        return walk(own, line_of(query, frame), search, stack, False)
 
-@device
-def _find_in_tree(tree, frame, query, search, stack):
-    own = _ScaledTree(tree.nodes, tree.leaves, frame.scale)
-    return _walk(own, line_of(query, frame), search, stack, False)
+    return PointSearch(find_in_tree, stack_bytes, _ROWS, True)
 
 
 @device
@@ -96,6 +100,9 @@ def _corners_of_row(view, frame, row):
 
 _ROWS = triangle_rows(_corners_of_row)
 
+#: The search over all triangles.
+AMONG_ALL = PointSearch(_find_among_all, 8, _ROWS, True)
+
 #: The loops over points, through the tree and over all triangles.
-find_in_tree = loop_of(*nearest_answer(PointSearch(_find_in_tree, STACK_BYTES, _ROWS, True)))
-find_among_all = loop_of(*nearest_answer(PointSearch(_find_among_all, STACK_BYTES, _ROWS, True)))
+find_in_tree = loop_of(*nearest_answer(tree_search(nearest_walk, STACK_BYTES)))
+find_among_all = loop_of(*nearest_answer(AMONG_ALL))

@@ -11,7 +11,7 @@ from raystream.core.float64_triangles import Float64Triangles
 from raystream.core.scene_kinds import REFUSALS
 from raystream.geometry.float64.batches import BATCH_KERNELS
 from raystream.geometry.float64.block import BLOCK_NUMBERS
-from raystream.geometry.float64.nearest import find_among_all, find_in_tree
+from raystream.geometry.float64.nearest import AMONG_ALL, find_among_all, find_in_tree
 from raystream.geometry.float64.queries import MEMORY_BYTES, float64_searches
 from raystream.geometry.float64.ray import LEAST
 from raystream.geometry.float64.ray_batch import Float64Rays
@@ -112,6 +112,7 @@ class Float64Brute(Float64Structure):
 
     traverse = staticmethod(all_blocks)
     point_loop = staticmethod(find_among_all)
+    point_search = AMONG_ALL
 
     def __init__(
         self, triangles: Float64Triangles, options: Brute, *, progress: Progress | None = None

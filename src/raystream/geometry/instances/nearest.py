@@ -7,7 +7,7 @@ triangles. The corners of triangles are moved to world space in float64.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +35,6 @@ from raystream.structures.bvh.nearest import (
 from raystream.structures.bvh.steps import leaf_blocks
 from raystream.structures.bvh.walks.single import STACK_BYTES
 
-_STACK = np.uint64(STACK_BYTES)
 _LEAF_SHIFT = np.int32(3)
 _ALL_STRIDE = np.int32(4)
 
@@ -186,40 +185,25 @@ def _visit_block(tree, child, line, search, _stack):
     return search, False
 
 
-_walk_object = nearest_walk(_visit_block)
-
-
 @device
-def _visit_instance(tree, child, line, search, stack):
-    """Search the object of an instance."""
-    index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
-    placed = PlacedRecord(tree.leaves, index)
-    point = _product(placed.to_object, placed.object_shift, line.moved)
-    slack = placed.error * (largest(line.moved) + placed.reach)
-    own = placed_line(point, line.moved, placed, slack, placed.unit)
-    inner = _ObjectTree(placed.nodes, placed.leaves, tree.leaves, index)
-    return _walk_object(inner, own, search, stack + _STACK, False), False
-
-
-_walk_instances = nearest_walk(_visit_instance)
-
-
-@device
-def _find_in_trees(top, frame, query, search, stack):
-    return _walk_instances(top, line_of(query, frame), search, stack, False)
+def offer_placed(tree, search, point, prim_id, place):
+    """Offer the triangle at a place, whose numbers are adjacent, of an `_ObjectTree`'s instance."""
+    placed = PlacedRecord(tree.placed, tree.number)
+    a, b, c = _in_world(placed, *corners_at(place, _ALL_STRIDE))
+    squared = triangle_features(point, a, b, c).squared
+    number = np.int32(prim_id + placed.first_id)
+    return offer_squared(search, squared, number, place, np.int32(tree.number))
 
 
 @device
 def _find_among_all(top, frame, query, search, stack):  # noqa: ARG001
     for index in range(top.instance_count):
         placed = PlacedRecord(top.leaves, index)
+        tree = _ObjectTree(placed.nodes, placed.leaves, top.leaves, index)
         for k in range(placed.triangle_count):
             prim_id = load(np.int32, placed.references + (k << SHIFT_32))
             place = placed.corners + np.uint64(prim_id) * TRIANGLE_BYTES
-            a, b, c = _in_world(placed, *corners_at(place, _ALL_STRIDE))
-            squared = triangle_features(query.moved, a, b, c).squared
-            number = np.int32(prim_id + placed.first_id)
-            search = offer_squared(search, squared, number, place, np.int32(index))
+            search = offer_placed(tree, search, query.moved, prim_id, place)
     return search
 
 
@@ -234,8 +218,56 @@ def _rows(stride: np.int32) -> RowShape:
     return triangle_rows(corners)
 
 
+#: Rows of triangles whose numbers are adjacent, see `offer_placed`.
+ADJACENT = _rows(_ALL_STRIDE)
+
+
+def trees_search(
+    visit_leaf: Callable[..., Any],
+    rows: RowShape,
+    walk_of: Callable[..., Any],
+    stack_bytes: int,
+) -> PointSearch:
+    """Make the search of the trees.
+
+    Parameters
+    ----------
+    visit_leaf : device function
+        Offers the triangles of a leaf of an `_ObjectTree`.
+    rows : RowShape
+        Of these.
+    walk_of : callable
+        Makes the walks; see `structures.bvh.nearest.nearest_walk`.
+    stack_bytes : int
+        Of a walk.
+    """
+    stack_size, walk_object = np.uint64(stack_bytes), walk_of(visit_leaf)
+
+    @device
+    def visit_instance(tree, child, line, search, stack):
+        """Search the object of an instance."""
+        index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
+        placed = PlacedRecord(tree.leaves, index)
+        point = _product(placed.to_object, placed.object_shift, line.moved)
+        slack = placed.error * (largest(line.moved) + placed.reach)
+        own = placed_line(point, line.moved, placed, slack, placed.unit)
+        inner = _ObjectTree(placed.nodes, placed.leaves, tree.leaves, index)
+        return walk_object(inner, own, search, stack + stack_size, False), False
+
+    walk_instances = walk_of(visit_instance)
+
+    @device
+    def find_in_trees(top, frame, query, search, stack):
+        return walk_instances(top, line_of(query, frame), search, stack, False)
+
+    return PointSearch(find_in_trees, 2 * stack_bytes, rows, True)
+
+
+_SEARCH = trees_search(_visit_block, _rows(STRIDE), nearest_walk, STACK_BYTES)
+
+#: The search over all triangles of all instances.
+AMONG_ALL = PointSearch(_find_among_all, 8, ADJACENT, True)
+
 #: The loops over points, through the trees and over all triangles of all instances.
-find_in_trees = loop_of(
-    *nearest_answer(PointSearch(_find_in_trees, 2 * STACK_BYTES, _rows(STRIDE), True))
-)
-find_among_all = loop_of(*nearest_answer(PointSearch(_find_among_all, 8, _rows(_ALL_STRIDE), True)))
+find_in_trees = loop_of(*nearest_answer(_SEARCH))
+find_among_all = loop_of(*nearest_answer(AMONG_ALL))

@@ -16,6 +16,7 @@ from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.geometry.instances.batches import BATCH_KERNELS
 from raystream.geometry.instances.nearest import (
+    AMONG_ALL,
     PlacedInstances,
     find_among_all,
     find_in_trees,
@@ -152,13 +153,14 @@ class InstancedStructure(Structure):
         return self.view._replace(worlds=np.uint64(rays.worlds.ctypes.data))
 
     @cached_property
-    def _placed(self) -> NDArray[np.void]:
+    def placed(self) -> NDArray[np.void]:
+        """The `PlacedRecord` of each leaf."""
         return placed_records(self.triangles, self.objects, self.trees.order, self.frame.scale)
 
     @property
     def point_view(self) -> PlacedInstances:
         """The instances for points, made once."""
-        return placed_view(self.trees.nodes, self._placed)
+        return placed_view(self.trees.nodes, self.placed)
 
     def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
         """The same objects, with instances elsewhere."""
@@ -206,6 +208,7 @@ class InstancedBrute(InstancedStructure):
     _kind = BruteStructure
     traverse = staticmethod(traverse_all)
     point_loop = staticmethod(find_among_all)
+    point_search = AMONG_ALL
 
     @property
     def tests_per_ray(self) -> int:

@@ -5,7 +5,8 @@ A sphere's distance is the difference between its radius and the distance of its
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,7 +48,7 @@ from raystream.structures.bvh.nearest import (
 from raystream.structures.bvh.node_layout import leaf_address
 from raystream.structures.bvh.walks.single import STACK_BYTES
 
-_TREE, _CELLS = np.uint64(STACK_BYTES), np.uint64(4)
+_CELLS = np.uint64(4)
 
 #: Strides of `kernels.nearest.ROW`: of a sphere, bytes between its numbers; of a triangle of a
 #: height field, whose place is its field's.
@@ -96,9 +97,6 @@ def _offer_spheres(block, point, search, frame):
 @device
 def _visit_spheres(tree, child, line, search, _stack):
     return _offer_spheres(leaf_address(tree.leaves, child), line.moved, search, tree), False
-
-
-_walk_spheres = nearest_walk(_visit_spheres)
 
 
 @device
@@ -185,16 +183,27 @@ def _foot(view, frame, point, row):  # noqa: ARG001
     return foot_of(triangle_features(point, a, b, c), a, b, c)
 
 
-@device
-def _find_in_trees(held, frame, query, search, stack):
-    line = line_of(query, frame)
-    search = walk_triangles(held, line, search, stack, False)
-    for k in range(held.field_count):
-        field = FieldRecord(held.fields, k)
-        key = float_as_bits(ZERO_F32)
-        search = _walk_field(field, (False, False), key, line, search, stack + _TREE)
-    tree = SphereTree(held.sphere_nodes, held.sphere_blocks, frame.center, frame.scale)
-    return _walk_spheres(tree, line, search, stack, False)
+_ROWS = RowShape(_measure, _foot)
+
+
+def trees_search(
+    walk_triangles: Callable[..., Any], walk_of: Callable[..., Any], stack_bytes: int
+) -> PointSearch:
+    """Make the search of the trees; see `structures.bvh.nearest.nearest_walk` for the walks."""
+    walk_spheres = walk_of(_visit_spheres)
+
+    @device
+    def find_in_trees(held, frame, query, search, stack):
+        line = line_of(query, frame)
+        search = walk_triangles(held, line, search, stack, False)
+        for k in range(held.field_count):
+            field = FieldRecord(held.fields, k)
+            key = float_as_bits(ZERO_F32)
+            search = _walk_field(field, (False, False), key, line, search, stack)
+        tree = SphereTree(held.sphere_nodes, held.sphere_blocks, frame.center, frame.scale)
+        return walk_spheres(tree, line, search, stack, False)
+
+    return PointSearch(find_in_trees, max(stack_bytes, PACKET_BYTES), _ROWS)
 
 
 @device
@@ -214,8 +223,9 @@ def _find_among_all(held, frame, query, search, stack):
     return search
 
 
-_ROWS, _MEMORY = RowShape(_measure, _foot), STACK_BYTES + PACKET_BYTES
+#: The search over all primitives.
+AMONG_ALL = PointSearch(_find_among_all, PACKET_BYTES, _ROWS)
 
 #: The loops over points, through the trees and over all primitives.
-find_in_trees = loop_of(*nearest_answer(PointSearch(_find_in_trees, _MEMORY, _ROWS)))
-find_among_all = loop_of(*nearest_answer(PointSearch(_find_among_all, _MEMORY, _ROWS)))
+find_in_trees = loop_of(*nearest_answer(trees_search(walk_triangles, nearest_walk, STACK_BYTES)))
+find_among_all = loop_of(*nearest_answer(AMONG_ALL))

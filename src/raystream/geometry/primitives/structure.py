@@ -12,7 +12,7 @@ from raystream.core.primitives import Primitives
 from raystream.geometry.fields.levels import field_levels
 from raystream.geometry.primitives.around import count_around
 from raystream.geometry.primitives.batches import batch_kernels
-from raystream.geometry.primitives.nearest import find_among_all, find_in_trees
+from raystream.geometry.primitives.nearest import AMONG_ALL, find_among_all, find_in_trees
 from raystream.geometry.primitives.records import (
     FIELD_ADDRESSES,
     SPHERES_PER_BLOCK,
@@ -171,6 +171,7 @@ class PrimitiveBrute(PrimitiveStructure):
     _kind = BruteStructure
     traverse = staticmethod(traverse_all)
     point_loop = staticmethod(find_among_all)
+    point_search = AMONG_ALL
     stack_bytes = STACK_BYTES
 
     @property

@@ -30,9 +30,11 @@ def widen(typing_context: Any, x: Any) -> Any:
 
 @intrinsic
 def narrow(typing_context: Any, x: Any) -> Any:
-    """A float64 vector as float32, rounded to nearest."""
+    """A float64 vector or number as float32, rounded to nearest."""
+    if x == types.float64:
+        return types.float32(x), _cast
     if not isinstance(x, VectorType) or x.kind != "f64":
-        refuse("narrow", "a float64 vector", x)
+        refuse("narrow", "a float64 vector or number", x)
     return _narrowed(x)
 
 
