@@ -181,7 +181,7 @@ class Tracer(MemoryEstimator, PointQueries):
             For rays in arrays on a GPU: an array on the host, or a contiguous one on the GPU.
         mask : int or array_like that broadcasts to S, int, optional
             32 bits, unsigned: a ray hits only what has one of its bits, see ``mask`` of `Mesh`, and
-            ``masks`` of `Scene.instances` [default: all bits]. Only on the CPU, in float32.
+            ``masks`` of `Scene.instances` [default: all bits]. Not on ``device="graphics"``.
         progress : callable, optional
             Called with (rays done, rays).
 

@@ -107,7 +107,7 @@ def rays_that_enter(filter_, g, bits, mask):
     if filter_ is None:
         return bits
     own = filter_.filter
-    if own.entered == NULL:
+    if own.entered == NULL or bits == ZERO_U64:
         return bits
     return bits & mask_bits(lanes_with_bit(own.entered, first_ray(filter_.places, g), mask))
 
