@@ -8,9 +8,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.tracer.traced_scene import flat_ids
 from raystream.jit.threads import Progress, part_of
-from raystream.tracer.traced_scene import TracedScene
+from raystream.tracer.traced_scene import TracedScene, flat_ids
 
 
 class WorldTracer(TracedScene):
