@@ -386,7 +386,7 @@ class PointQueries(RayCaster):
             one._find_nearest(
                 PointBatch(batch.points[rows], limits, batch.capacity), part, None, report
             )
-            # Instances count from 0 in each world: -1 stays the last one, which is none.
+            # Instances count from 0 in each world: -1 stays -1, the last row.
             instances = np.append(held.instances.in_world(int(ids[rows[0]])), -1)
             prim_id, instance_id = one.structure.triangles.split_ids(part.prim_id)
             part.prim_id[:] = held.numbers_of(prim_id, instances[instance_id])
