@@ -3,19 +3,23 @@
     python benchmarks/agreement.py --rays 5000000 --structure bvh
     python benchmarks/agreement.py --rays 5000000 --structure bvh --device cuda
     python benchmarks/agreement.py --kind spheres
+    python benchmarks/agreement.py --kind instances --ignoring masks
 
 Runs every case of the test suite repeatedly with other seeds, more rays, and intervals of all kinds
 (t_min above, at and below zero), and counts the rays whose answer differs in any bit of any query.
 With `--kind`, the rays meet another kind of geometry or precision, by each of the BVH's kernels in
-turn: the cases placed by several transforms, or in float64; spheres; or height fields. The figures
-in docs/decisions come from here.
+turn: the cases placed by several transforms, or in float64; spheres; or height fields. With
+`--ignoring`, rays ignore what has other masks, or what a filter leaves out, and NumPy leaves that
+out of brute force's hits. The figures in docs/decisions come from here.
 """
 
 import argparse
+import copy
 import sys
 import time
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -36,21 +40,55 @@ def bits(values):
     return values.view(f"u{values.itemsize}") if values.dtype.kind == "f" else values
 
 
-def differing(tracer, oracle, rays):
+COLUMNS = ("t", "u", "v", "prim_id", "mesh_id", "instance_id")
+
+
+class Kept:
+    """A tracer whose hits NumPy chooses: ``keep(hits)`` says which, of those of `multi_hit`."""
+
+    def __init__(self, tracer, keep):
+        self.tracer, self.keep = tracer, keep
+
+    def multi_hit(self, **query):
+        """The hits that are kept."""
+        found = self.tracer.multi_hit(**query)
+        rows = np.flatnonzero(self.keep(found))
+        counts = np.bincount(found.ray_id[rows], minlength=len(found.counts))
+        splits = np.concatenate([[0], np.cumsum(counts)])
+        columns = {name: getattr(found, name)[rows] for name in COLUMNS}
+        return SimpleNamespace(counts=counts, ray_splits=splits, status=found.status, **columns)
+
+    def any_hit(self, **rays):
+        """Whether any is kept."""
+        return self.multi_hit(**rays).counts > 0
+
+    def first_hit(self, **rays):
+        """The first ones that are kept."""
+        found, first = self.multi_hit(**rays), self.tracer.first_hit(**rays)
+        missing = self.tracer.first_hit(np.zeros(3), np.zeros(3))
+        rows, is_hit = found.ray_splits[:-1], found.counts > 0
+        chosen = {}
+        for name in COLUMNS:
+            column = np.full_like(getattr(first, name), getattr(missing, name))
+            column[is_hit] = getattr(found, name)[rows[is_hit]]
+            chosen[name] = column
+        return SimpleNamespace(status=found.status, **chosen)
+
+
+def differing(tracer, oracle, rays, options):
     """Whether any query gives different bits, for each ray."""
     wrong = np.zeros(len(rays["origins"]), bool)
-    columns = ("t", "u", "v", "prim_id", "mesh_id", "instance_id")
-    first, expected = tracer.first_hit(**rays), oracle.first_hit(**rays)
-    for column in (*columns, "status"):
+    first, expected = tracer.first_hit(**rays, **options), oracle.first_hit(**rays)
+    for column in (*COLUMNS, "status"):
         wrong |= bits(getattr(first, column)) != bits(getattr(expected, column))
-    wrong |= tracer.any_hit(**rays) != oracle.any_hit(**rays)
+    wrong |= tracer.any_hit(**rays, **options) != oracle.any_hit(**rays)
     for crossings in ("triangles", "surfaces"):
-        many = tracer.multi_hit(**rays, crossings=crossings)
-        expected = oracle.multi_hit(**rays, crossings=crossings)
+        asked = {**rays, **options, "crossings": crossings}
+        many, expected = tracer.multi_hit(**asked), oracle.multi_hit(**rays, crossings=crossings)
         wrong |= many.counts != expected.counts
-        wrong |= tracer.count_hits(**rays, crossings=crossings) != expected.counts
+        wrong |= tracer.count_hits(**asked) != expected.counts
         if np.array_equal(many.ray_splits, expected.ray_splits):
-            for column in columns:
+            for column in COLUMNS:
                 a, b = bits(getattr(many, column)), bits(getattr(expected, column))
                 np.logical_or.at(wrong, many.ray_id, a != b)
     return wrong
@@ -143,6 +181,47 @@ def fields(rng):
         yield rs.Scene.height_field(heights, **place), limited
 
 
+#: Masks of parts of scenes, and of rays.
+MASKS = np.array([0b01, 0b10, 0b11], np.uint32)
+RAY_MASKS = np.array([0b01, 0b10, 0b101, 0b1000, 2**32 - 1], np.uint32)
+
+
+def masked(scene):
+    """The scene in parts with masks, of which some coincide, and the masks of its hits."""
+    placed, held = scene.placements, scene.geometry
+    if placed is not None:
+        masks = np.resize(MASKS, len(placed))
+        scene = rs.Scene.instances(rs.Scene(scene.meshes), placed.transforms, masks=masks)
+        return scene, lambda hits: masks[hits.instance_id]
+    parts = [
+        rs.Scene([rs.Mesh(one.vertices, one.faces[k::3], mask=mask) for one in scene.meshes])
+        for k, mask in enumerate(MASKS.tolist())
+        if scene.meshes
+    ]
+    for mask in MASKS[:2].tolist():
+        for one in map(copy.copy, held.fields):
+            one.mask = mask
+            parts.append(rs.Scene.of_field(one))
+    masks = [mask for part in parts for mask, n in _runs(part) for _ in range(n)]
+    centers, radii = held.spheres.centers, held.spheres.radii
+    for k, mask in enumerate(MASKS.tolist() if len(radii) else []):
+        parts.append(rs.Scene.spheres(centers[k::3], radii[k::3], mask=mask))
+        masks += [mask] * len(radii[k::3])
+    table = np.array(masks, np.uint32)
+    return rs.Scene.combine(parts), lambda hits: table[hits.prim_id]
+
+
+def _runs(part):
+    """The mask and the number of triangles of each mesh and height field of a scene."""
+    yield from ((one.mask, one.triangle_count) for one in part.meshes)
+    yield from ((one.mask, len(one)) for one in part.geometry.fields)
+
+
+def is_kept(hit):
+    """A filter, also of arrays of hits."""
+    return (hit.prim_id + hit.instance_id) % 3 != 0
+
+
 #: For each kind its scenes, and options of the BVH on the CPU, used in turn.
 KINDS = {
     "triangles": (triangles, KERNELS),
@@ -159,6 +238,7 @@ def main():
     parser.add_argument("--rays", type=int, default=1_000_000)
     parser.add_argument("--structure", choices=OPTIONS, default="bvh")
     parser.add_argument("--kind", choices=KINDS, help="by the kernels of the BVH on the CPU")
+    parser.add_argument("--ignoring", choices=("masks", "filter"), help="leave out hits")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     cases.RAY_COUNT = RAY_COUNT
@@ -171,14 +251,22 @@ def main():
     while sum(done.values()) < arguments.rays:
         rng = np.random.default_rng([seed, sum(done.values())])
         for number, (scene, rays) in enumerate(make(rng)):
-            options = choices[(seed + number) % len(choices)]
+            options, query, keep = choices[(seed + number) % len(choices)], {}, None
+            if arguments.ignoring == "masks":
+                scene, masks_of = masked(scene)
+                masks = np.resize(RAY_MASKS, len(rays["origins"]))
+                query = {"mask": masks}
+                keep = lambda hits, of=masks_of, own=masks: of(hits) & own[hits.ray_id] != 0  # noqa: E731
+            elif arguments.ignoring == "filter":
+                query, keep = {"on_hit": is_kept}, is_kept
             tracer = rs.Tracer(scene, structure, arguments.device, **options)
             precision = {key: options[key] for key in options if key == "precision"}
             oracle = rs.Tracer(scene, "brute", **precision)
+            oracle = Kept(oracle, keep) if keep else oracle
             t = oracle.first_hit(**rays).t
             for kind in limited:
                 low, high = limits(kind, t, rng)
-                bad = differing(tracer, oracle, {**rays, "t_min": low, "t_max": high})
+                bad = differing(tracer, oracle, {**rays, "t_min": low, "t_max": high}, query)
                 done[kind] += len(bad)
                 wrong[kind] += int(np.count_nonzero(bad))
                 if bad.any():

@@ -119,7 +119,6 @@ def test_float64_from_a_planet_away(gpu):
     [
         ({"build": "device"}, "build='device': not supported with precision='float64'"),
         ({"structure": "grid"}, "structure='grid': not supported with precision='float64'"),
-        ({"counters": True}, "counters=True: not supported with precision='float64'"),
     ],
 )
 def test_what_float64_does_not_support_is_named(gpu, options, message):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,14 @@ class Rules(NamedTuple):
     cutouts: bool = False
 
 
+class _Tracing(TypedDict, total=False):
+    """Options of how rays are traced."""
+
+    cutouts: bool
+    worlds: Any
+    progress: Progress | None
+
+
 def thickness(
     tracer: Tracer,
     origins: Any,
@@ -73,10 +81,8 @@ def thickness(
     t_min: Any = 0.0,
     t_max: Any = np.inf,
     ends: Literal["report", "clip"] = "report",
-    cutouts: bool = True,
     nested: Literal["both", "inner"] = "both",
-    worlds: Any = None,
-    progress: Progress | None = None,
+    **tracing: Unpack[_Tracing],
 ) -> Thickness:
     """Find where rays enter and leave closed meshes.
 
@@ -90,19 +96,17 @@ def thickness(
         clip it to the interval, if the mesh is closed. To clip, rays are traced to their last
         crossing, so that a ray that starts inside is recognised even if its interval ends before
         any surface.
-    cutouts : bool
-        Whether rays pass where the surface of a mesh that is not closed is cut out: where the
-        opacity of its material is below its ``alpha_cutoff``, or below a half without one. A closed
-        mesh is a solid, whatever its surface shows: its cut-outs always count as surface. A ray
-        through a hole in its skin would be left with an exit or an entry.
     nested : {"both", "inner"}
         Where meshes overlap, as a pipe in concrete does that has no hole for it: give each of
         them its whole segment, with a `RaystreamWarning` that names some of the meshes; or let
         the inner one displace the others, so that segments do not overlap.
-    worlds : array_like that broadcasts to S, int, optional
-        As in `Tracer.first_hit`.
-    progress : callable, optional
-        Called with (rays done, rays).
+    **tracing
+        ``cutouts`` (bool): whether rays pass where the surface of a mesh that is not closed is cut
+        out: where the opacity of its material is below its ``alpha_cutoff``, or below a half
+        without one [default: True]. A closed mesh is a solid, whatever its surface shows: its
+        cut-outs always count as surface. A ray through a hole in its skin would be left with an
+        exit or an entry. ``worlds`` (array_like that broadcasts to S, int): as in
+        `Tracer.first_hit`. ``progress`` (callable): called with (rays done, rays).
 
     Returns
     -------
@@ -151,6 +155,7 @@ def thickness(
     >>> round(found.total_length().item(), 1)
     173.7
     """
+    cutouts, worlds, progress = _tracing(**tracing)
     if ends not in ("report", "clip"):
         raise ValueError(f"ends: expected 'report' or 'clip', got {ends!r}")
     if nested not in ("both", "inner"):
@@ -164,6 +169,13 @@ def thickness(
         text = overlap_text(overlaps, found.mesh_names)
         warnings.warn(text, RaystreamWarning, stacklevel=2)
     return in_library_of(origins, directions, found, LibraryThickness)
+
+
+def _tracing(
+    *, cutouts: bool = True, worlds: Any = None, progress: Progress | None = None
+) -> tuple[bool, Any, Progress | None]:
+    """The options of `_Tracing`; TypeError for others."""
+    return cutouts, worlds, progress
 
 
 def find_segments(

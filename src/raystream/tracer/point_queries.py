@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,15 +189,11 @@ class PointQueries(RayCaster):
         [-0.5, 3.0]
         """
         given = as_vectors("points", points)
-        ids = self._world_ids(worlds, given.shape[:-1])
-        if ids is not None:
-            limits = np.broadcast_to(_limits_of(max_distance, given.shape[:-1]), ids.shape)
-
-            def ask(one: Self, some: Any, rows: Any, report: Any) -> Any:
-                options: Any = {"method": method, "progress": report}
-                return one.signed_distance(some, max_distance=limits[rows], **options)
-
-            return self._in_worlds(ask, given, ids, progress)
+        limits = _limits_of(max_distance, given.shape[:-1])
+        asked = {"max_distance": limits, "method": method}
+        of_worlds = self._in_worlds("signed_distance", given, worlds, progress, asked)
+        if of_worlds is not None:
+            return of_worlds
         test = InsideTest(self, method)  # first: it may refuse
         # Of the progress, the distance counts as one part, the inside as four.
         steps = max(given.size // 3, 1)
@@ -274,13 +269,9 @@ class PointQueries(RayCaster):
         (1,)
         """
         given = as_vectors("points", points)
-        ids = self._world_ids(worlds, given.shape[:-1])
-        if ids is not None:
-
-            def ask(one: Self, some: Any, _rows: Any, report: Any) -> Any:
-                return one.contains(some, method=method, progress=report)
-
-            return self._in_worlds(ask, given, ids, progress).astype(np.bool_)
+        of_worlds = self._in_worlds("contains", given, worlds, progress, {"method": method})
+        if of_worlds is not None:
+            return of_worlds.astype(np.bool_)
         test = InsideTest(self, method)
         return test.inside(given, progress).reshape(given.shape[:-1])
 
@@ -350,30 +341,31 @@ class PointQueries(RayCaster):
         given, most = as_vectors("points", points), float(accuracy)
         if not most >= 0.0:
             raise ValueError(f"accuracy: expected a number >= 0, got {accuracy}")
-        ids = self._world_ids(worlds, given.shape[:-1])
-        if ids is not None:
-
-            def ask(one: Self, some: Any, _rows: Any, report: Any) -> Any:
-                return one.winding_number(some, accuracy=most, progress=report)
-
-            return self._in_worlds(ask, given, ids, progress)
+        of_worlds = self._in_worlds("winding_number", given, worlds, progress, {"accuracy": most})
+        if of_worlds is not None:
+            return of_worlds
         numbers = scene_winding(self.structure, given.reshape(-1, 3), progress, most)
         return numbers.reshape(given.shape[:-1])
 
     def _in_worlds(
         self,
-        ask: Callable[[Self, Any, Any, Any], Any],
+        query: str,
         points: NDArray[Any],
-        ids: NDArray[np.int32],
+        worlds: Any,
         progress: Progress | None,
-    ) -> NDArray[np.float64]:
-        """Answers of shape S for points of shape S + (3,), world by world.
-
-        ``ask(tracer, points, rows, progress)`` answers those of one world, in these rows of all.
-        """
+        options: dict[str, Any],
+    ) -> NDArray[np.float64] | None:
+        """Ask a query of the tracers of all points' worlds; None in a scene without worlds."""
+        ids = self._world_ids(worlds, points.shape[:-1])
+        if ids is None:
+            return None
         flat, answers = points.reshape(-1, 3), np.empty(len(ids))
         for rows, one, report in self._by_world(ids, progress):
-            answers[rows] = ask(one, flat[rows], rows, report)
+            own = {
+                name: np.broadcast_to(value, ids.shape)[rows] if name == "max_distance" else value
+                for name, value in options.items()
+            }
+            answers[rows] = getattr(one, query)(flat[rows], progress=report, **own)
         return answers.reshape(points.shape[:-1])
 
     def _find_nearest(
@@ -394,7 +386,7 @@ class PointQueries(RayCaster):
             one._find_nearest(
                 PointBatch(batch.points[rows], limits, batch.capacity), part, None, report
             )
-            # Instances count from 0 in each world: -1 stays the last one, which is none.
+            # Instances count from 0 in each world: -1 stays -1, the last row.
             instances = np.append(held.instances.in_world(int(ids[rows[0]])), -1)
             prim_id, instance_id = one.structure.triangles.split_ids(part.prim_id)
             part.prim_id[:] = held.numbers_of(prim_id, instances[instance_id])
