@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.core.query import Kind
 from raystream.jit.threads import set_thread_count
 from raystream.rendering import progressive, sample_bands, sample_file
 from raystream.rendering.film import Film
@@ -291,13 +292,19 @@ def test_scene_is_read_for_a_checkpoint_only(tracer, tmp_path, monkeypatch):
 def batches(monkeypatch):
     """The rays that each call of the kernel for small batches gets."""
     seen = []
-    trace = tables.trace_wavefront
+    kernels = tables.BATCH_KERNELS[Kind.FIRST_HIT].kernels
+    kernel = kernels["wavefront"]
 
-    def note(begin, end, *arguments):
-        seen.append(end - begin)
-        trace(begin, end, *arguments)
+    def bind(structure, batch):
+        trace, given = kernel.bind(structure, batch)
 
-    monkeypatch.setattr(tables, "trace_wavefront", note)
+        def note(begin, end, *arguments):
+            seen.append(end - begin)
+            trace(begin, end, *arguments)
+
+        return note, given
+
+    monkeypatch.setitem(kernels, "wavefront", kernel._replace(bind=bind))
     yield seen
     set_thread_count(None)
 

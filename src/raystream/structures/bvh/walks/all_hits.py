@@ -180,8 +180,8 @@ def _sort_rows(begin, end, frame, source, at, sorts):
 # Kernels of batches
 
 
-#: ``scene_of(structure, batch)``: the arguments of a kernel for rays in flight between its rays and
-#: what is wanted. The second and the third are the frame of distances, or None, and the rays.
+#: ``scene_of(structure, batch)``: the arguments of a kernel for rays in flight between the numbers
+#: of its rays and what is wanted.
 SceneOf = Callable[[Any, Batch], tuple[Any, ...]]
 
 
