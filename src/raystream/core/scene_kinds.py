@@ -34,14 +34,9 @@ _PRIMITIVES = ("spheres", "fields")
 _ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
 
 # Why a kind of scene lacks a feature.
-_TRIANGLES = "written for triangles of one local frame in float32"
-_NEAREST = "distances to it are not written"
 _PROGRAM = "programs and filters read triangles in float32"
-_FORMAT = "the format stores triangles of one local frame in float32"
 _PATCHES = "patches are of triangles, in one place each"
-_BOXES = "steps are shown for one tree over triangles"
 _COUNTS = "its traversal does not count"
-_SHADING = "shading reads triangles in float32"
 _SETS = "worlds are sets of instances"
 
 
@@ -119,7 +114,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "raystream.torch": Feature(_ONE_WORLD, "`raystream.torch`"),
         "raystream.jax": Feature(_ONE_WORLD, "`raystream.jax`"),
         "a cluster": Feature(_ONE_WORLD, "clusters", _SETS),
-        "walk": Feature((), "`raystream.stepper.walk`", _BOXES),
+        "walk": Feature(_ONE_WORLD, "`raystream.stepper.walk`"),
     }
 )
 
