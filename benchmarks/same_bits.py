@@ -7,10 +7,10 @@
 
 Records a digest of each query's answers, over all columns and six kinds of rays, for each scene
 and each structure and kernel: plain triangles, instances, worlds, spheres, height fields and
-float64; closest points and inside tests, filters and programs, updates, ray files, physics and
-lines of sight; and images (``bits_cases.py`` and ``bits_images.py``). By default it compares with
-``same_bits.json``, prints the digests that differ, and exits with 1 if there are any. ``--only``
-runs single parts.
+float64; closest points and inside tests, filters, programs and masks, updates, ray files, physics
+and lines of sight; and images (``bits_cases.py``, ``bits_kinds.py``, ``bits_images.py``). By
+default it compares with ``same_bits.json``, prints the digests that differ, and exits with 1 if
+there are any. ``--only`` runs single parts.
 
 Models in the folder ``RAYSTREAM_SCENES`` are left out where it is not set, also when comparing. A
 part whose optional package is missing is left out when recording; comparing needs it.
@@ -34,13 +34,14 @@ from pathlib import Path
 
 import bits_cases
 import bits_images
+import bits_kinds
 import numpy as np
 
 import raystream as rs
 
 RECORDED = Path(__file__).with_suffix(".json")
 
-PARTS = {**bits_cases.PARTS, "images": bits_images.images}
+PARTS = {**bits_cases.PARTS, **bits_kinds.PARTS, "images": bits_images.images}
 
 #: Rays of a scene for the default tracer.
 RAYS = 250_000

@@ -66,9 +66,10 @@ FEATURES: dict[str, tuple[Callable[[rs.Tracer, Path], Any], str]] = {
         "queries",
     ),
     "memory_needed": (lambda t, _: t.memory_needed(1000), "queries"),
-    "cast": (lambda t, _: t.cast(*RAY), "cast"),
+    "cast": (lambda t, _: t.cast(*RAY, **_world(t, "world")), "cast"),
     "brute": (lambda t, _: _again(t, structure="brute"), "structure='brute'"),
     "worlds": (lambda t, _: _with_worlds(t).first_hit(*RAY, worlds=0), "worlds"),
+    "in a world": (lambda t, _: _with_worlds(t).in_world(0).first_hit(*RAY), "worlds"),
     "counters": (
         lambda t, _: _again(t, counters=True).count_hits(*RAY, **_world(t)),
         "counters=True",
@@ -93,8 +94,8 @@ FEATURES: dict[str, tuple[Callable[[rs.Tracer, Path], Any], str]] = {
         "render, materials that are not opaque",
     ),
     "heat map": (lambda t, _: rs.heatmap(_again(t, counters=True), size=(8, 8)), "heatmap"),
-    "lidar_returns": (lambda t, _: rs.lidar_returns(t, *RAY), "lidar_returns"),
-    "thickness": (lambda t, _: rs.thickness(t, *RAY, nested="inner"), "thickness"),
+    "lidar_returns": (lambda t, _: rs.lidar_returns(t, *RAY, **_world(t)), "lidar_returns"),
+    "thickness": (lambda t, _: rs.thickness(t, *RAY, nested="inner", **_world(t)), "thickness"),
     "visibility": (lambda t, _: rs.visibility(t, POINTS), "visibility"),
     "visibility of hits": (
         lambda t, _: rs.visibility(t, t.first_hit(*RAY, **_world(t))),
@@ -114,13 +115,16 @@ FEATURES: dict[str, tuple[Callable[[rs.Tracer, Path], Any], str]] = {
     ),
     "visible_faces": (lambda t, _: rs.visible_faces(t, size=(8, 8)), "visible_faces"),
     "view_factors": (lambda t, _: rs.view_factors(t, rays=64), "view_factors"),
-    "closest_point": (lambda t, _: t.closest_point(POINTS), "closest points"),
+    "closest_point": (
+        lambda t, _: t.closest_point(POINTS, **_world(t)),
+        "closest points",
+    ),
     "signed_distance": (
-        lambda t, _: t.signed_distance(POINTS, method="winding"),
+        lambda t, _: t.signed_distance(POINTS, method="winding", **_world(t)),
         "closest points, inside tests",
     ),
-    "contains": (lambda t, _: t.contains(POINTS, method="winding"), "inside tests"),
-    "winding_number": (lambda t, _: t.winding_number(POINTS), "winding numbers"),
+    "contains": (lambda t, _: t.contains(POINTS, method="winding", **_world(t)), "inside tests"),
+    "winding_number": (lambda t, _: t.winding_number(POINTS, **_world(t)), "winding numbers"),
     "query_zarr": (lambda t, path: _query_file(t, path), "query_zarr"),
     "save": (lambda t, path: _saved(t, path / "a.npz"), "save"),
     "clusters": (lambda t, _: _pack(t), "a cluster"),
@@ -171,9 +175,9 @@ def _pack(tracer: rs.Tracer) -> Any:
     return pack_tracer(tracer, "bvh", "cpu", {}, for_rendering=False)
 
 
-def _world(tracer: rs.Tracer) -> dict[str, Any]:
+def _world(tracer: rs.Tracer, name: str = "worlds") -> dict[str, Any]:
     placed = tracer.scene.placements
-    return {} if placed is None or placed.worlds is None else {"worlds": 0}
+    return {} if placed is None or placed.worlds is None else {name: 0}
 
 
 def _with_worlds(tracer: rs.Tracer) -> rs.Tracer:
@@ -201,7 +205,7 @@ def check_feature(feature: str, kind: str, tracer: rs.Tracer, path: Path) -> Non
         return
     with pytest.raises((rs.RaystreamError, ValueError)) as caught:
         run(tracer, path)
-    said = SAYS[kind] if feature != "worlds" else "worlds: expected None"
+    said = SAYS[kind] if named != "worlds" else "world"
     assert said in str(caught.value) or (kind == "worlds" and "instances" in str(caught.value))
 
 

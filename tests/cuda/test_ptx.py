@@ -19,6 +19,8 @@ import raystream as rs
 import test_float64 as float64
 from cases import CASES
 from conftest import CUDA_TRACERS, FLOAT64_CUDA_TRACERS, GPU_TRACERS
+from mask_cases import check as check_masks
+from mask_cases import left_of, of_all_kinds, of_instances, of_meshes, some_masks, some_rays
 from meshes import soup
 from ptx.driver import PtxDriver
 from ptx.machine import Kernel, Memory, PtxError
@@ -118,6 +120,30 @@ def test_instances_and_primitives_equal_brute_force(driver, structure, name):
     on_device = {one: Lent(open_gpu(NUMBER), values) for one, values in rays.items()}
     assert_same(tracer.first_hit(**on_device).host(), oracle.first_hit(**rays), FIRST)
     assert any("multi_hit" in kernel for kernel in driver.launched)
+
+
+@pytest.mark.usefixtures("driver")
+@pytest.mark.parametrize(
+    ("structure", "make", "precision"),
+    [
+        ("bvh", of_instances, "float32"),
+        *(
+            pytest.param(*one, marks=pytest.mark.exhaustive)
+            for one in (
+                ("bvh", of_meshes, "float32"),
+                ("bvh", of_meshes, "float64"),
+                ("bvh", of_all_kinds, "float32"),
+                ("brute", of_instances, "float32"),
+                ("grid", of_meshes, "float32"),
+            )
+        ),
+    ],
+)
+def test_masks_give_the_bits_without_the_parts(structure, make, precision):
+    case, options = make(), {"precision": precision}
+    tracer = rs.Tracer(case.scene, structure, "cuda", gpu=NUMBER, **options)
+    rays, masks = some_rays(9, 1, True), some_masks(9)
+    check_masks(tracer, left_of(case, np.unique(masks), **options), rays, masks)
 
 
 @pytest.mark.usefixtures("driver")

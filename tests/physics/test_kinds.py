@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from cards import over_ground
 from field_rays import mesh_of
-from meshes import icosphere
+from meshes import cube, icosphere
 
 
 def chords(rng: np.random.Generator, count: int, radius: float) -> tuple[np.ndarray, ...]:
@@ -110,3 +111,60 @@ def test_lidar_in_float64_is_that_of_float32_but_for_rounding() -> None:
     assert np.array_equal(wide.prim_id, near.prim_id)
     np.testing.assert_allclose(wide.ranges, near.ranges, rtol=1e-5, atol=1e-3)
     np.testing.assert_allclose(wide.intensity, near.intensity, atol=1e-5)
+
+
+def plate(low: float, height: float, turned: bool = False) -> rs.Mesh:
+    """A closed box over the unit square; turned, its faces look inward."""
+    vertices, faces = cube()
+    unit = (vertices - vertices.min(axis=0)) / np.ptp(vertices, axis=0)
+    corners = unit[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = np.einsum("nk,nk->", normals, corners.mean(axis=1) - 0.5) > 0.0
+    faces = faces if outward != turned else faces[:, ::-1]
+    return rs.Mesh(unit * [1.0, 1.0, height] + [0.0, 0.0, low], faces)
+
+
+def test_solids_thinner_than_float32_resolves() -> None:
+    """Their vertices are the same, rounded to float32: their volumes are lost there."""
+    gap = 2.0**-33
+    plates = [plate(0.625, gap, turned=True), plate(0.75, 2 * gap), plate(0.75 + gap / 2, gap)]
+    tracer = rs.Tracer(rs.Scene([plate(-3.0, 1.0), *plates]), precision="float64")
+    found = rs.thickness(tracer, [0.3, 0.4, 2.0], [0.0, 0.0, -1.0], nested="inner")
+    assert found.mesh_is_flipped.tolist() == [False, True, False, False]
+    assert found.mesh_id.tolist() == [2, 3, 2, 1, 0]
+    assert (found.path_length / gap).tolist() == [0.5, 1.0, 0.5, 1.0, 1.0 / gap]
+    steps = np.array([-1.0, 0.25, 0.5, 0.75, 2.0])
+    points = np.column_stack([np.full((5, 2), 0.3), 0.625 + gap * steps])
+    for method in ("rays", "winding"):
+        inside = tracer.contains(points, method=method)
+        assert inside.tolist() == [False, True, True, True, False]
+        distances = tracer.signed_distance(points, method=method) / gap
+        assert distances.tolist() == [1.0, -0.25, -0.5, -0.25, 1.0]
+
+
+def test_a_crack_narrower_than_float32_resolves_is_open() -> None:
+    whole = plate(0.0, 1.0)
+    corners = whole.vertices[whole.faces].astype(np.float64) + 1.0
+    corners[0] += 2.0**-33 * np.array([1.0, 1.0, 0.0])
+    cracked = rs.Scene.from_arrays(corners.reshape(-1, 3), np.arange(36).reshape(12, 3))
+    ray = [1.3, 1.4, 4.0], [0.0, 0.0, -1.0]
+    for precision, is_closed in (("float64", False), ("float32", True)):
+        tracer = rs.Tracer(cracked, precision=precision)
+        assert rs.thickness(tracer, *ray).mesh_is_closed.tolist() == [is_closed]
+    with pytest.raises(ValueError, match="open, or faces are oriented"):
+        rs.Tracer(cracked, precision="float64").contains([[1.5, 1.5, 1.5]])
+
+
+@pytest.mark.parametrize("kind", ["mask", "blend", "vertices"])
+def test_lidar_through_cut_outs_in_float64(kind: str) -> None:
+    """What is cut out lets pulses pass, as if it were not there: the left half of a card."""
+    scene = over_ground(kind)
+    x = np.arange(-0.95, 1.0, 0.1)
+    origins = np.stack([*np.meshgrid(x, x), np.full((20, 20), 2.0)], axis=-1).reshape(-1, 3)
+    wide, single, solid = (
+        rs.lidar_returns(rs.Tracer(scene, precision=one), origins, [0, 0, -1.0], cutouts=cutouts)
+        for one, cutouts in (("float64", True), ("float32", True), ("float64", False))
+    )
+    np.testing.assert_array_equal(wide.ranges, np.where(origins[:, 0] < 0.0, 3.0, 2.0))
+    np.testing.assert_array_equal(wide.prim_id, single.prim_id)
+    assert (solid.ranges == 2.0).all()

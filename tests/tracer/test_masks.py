@@ -11,11 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
-from meshes import cube, icosphere, soup
+from mask_cases import (
+    check,
+    left_of,
+    of_all_kinds,
+    of_instances,
+    of_meshes,
+    some_masks,
+    some_rays,
+)
+from meshes import cube
 from raystream.core.errors import RaystreamError
 from raystream.core.masks import ALL_BITS, MaskRuns
-
-COLUMNS = ("t", "u", "v", "prim_id", "instance_id")
 
 
 def _later(*names: str) -> list[Any]:
@@ -25,124 +32,91 @@ def _later(*names: str) -> list[Any]:
 
 STRUCTURES = ("bvh", "brute", *_later("kdtree", "grid", "graph"))
 KERNELS = ("packet", "groups", "wavefront", "single")
-MASKS = (1, 2, 4, 1 | 2, ALL_BITS)
-
-#: Masks of rays: of all and of none of the meshes, and of some.
-RAY_MASKS = (0, 1, 2, 5, ALL_BITS)
 COUNT = 400
 
+#: Scenes, their structures or kernels, and the precision.
+WAYS = [
+    *((of_meshes, one, {}) for one in ("packet", "groups", "wavefront", "single", "brute")),
+    *((of_instances, one, {}) for one in ("packet", "groups", "wavefront", "single", "brute")),
+    *((of_all_kinds, one, {}) for one in ("packet", "wavefront", "single", "brute")),
+    *(
+        (of_meshes, one, {"precision": "float64"})
+        for one in ("packet", "groups", "single", "brute")
+    ),
+]
 
-def _rays(count: int, seed: int, coherent: bool) -> tuple[Any, Any]:
-    rng = np.random.default_rng(seed)
-    if coherent:
-        side = int(count**0.5)
-        axis = np.linspace(-0.4, 0.4, side)
-        directions = np.stack(np.broadcast_arrays(axis, axis[:, None], 1.0), axis=-1)
-        return np.array([0.1, 0.2, -5.0]), directions.reshape(-1, 3)
-    return rng.uniform(-3.0, 3.0, (count, 3)), rng.normal(size=(count, 3))
-
-
-def _meshes() -> list[rs.Mesh]:
-    rng = np.random.default_rng(7)
-    parts = [soup(80, 1), icosphere(2), cube(), icosphere(2), soup(40, 2)]
-    return [
-        rs.Mesh(np.asarray(points) + rng.uniform(-1.0, 1.0, 3), faces, mask=int(mask))
-        for (points, faces), mask in zip(parts, MASKS, strict=True)
-    ]
+#: Of these, everyday tests have those whose kernels others need, too.
+_EVERYDAY = (0, 1, 2, 3, 4, 6, 9, 10, 14)
 
 
-def _only(mesh: rs.Mesh) -> rs.Mesh:
-    """The mesh without anything to hit, with as many triangles."""
-    return mesh.moved(np.full(mesh.vertices.shape, np.nan))
+def _named(make: Any, way: str, options: dict[str, str], k: int) -> Any:
+    name = "-".join([make.__name__[3:], way, *options.values()])
+    return pytest.param(make, way, options, id=name, marks=[pytest.mark.ci] * (k not in _EVERYDAY))
 
 
-def _without(scene: rs.Scene, mask: int) -> rs.Scene:
-    """The same scene, where what the mask leaves out cannot be hit; ids are the same."""
-    return rs.Scene([one if one.mask & mask else _only(one) for one in scene.meshes])
+def _tracer(scene: rs.Scene, way: str, options: dict[str, str]) -> rs.Tracer:
+    structure = rs.Bvh(kernel=way) if way in KERNELS else way
+    return rs.Tracer(scene, structure, **options)
 
 
-def check(
-    tracer: rs.Tracer, left: dict[int, rs.Tracer], rays: Any, masks: Any, **more: Any
-) -> None:
-    """Compare all queries of rays with a mask each with those of scenes without the parts."""
-    given: dict[str, Any] = {"mask": masks, **more}
-    first, seen = tracer.first_hit(*rays, **given), tracer.any_hit(*rays, **given)
-    count, many = tracer.count_hits(*rays, **given), tracer.multi_hit(*rays, **given)
-    few = tracer.multi_hit(*rays, **given, max_hits=2)
-    rows = np.broadcast_to(masks, first.t.shape)
-    for mask, other in left.items():
-        mine = np.flatnonzero(rows == mask)
-        some = [np.broadcast_to(part, (*first.t.shape, 3))[mine] for part in rays]
-        others = {key: value[mine] for key, value in more.items()}
-        expected = other.first_hit(*some, **others)
-        for name in COLUMNS:
-            np.testing.assert_array_equal(getattr(first, name)[mine], getattr(expected, name))
-        np.testing.assert_array_equal(seen[mine], other.any_hit(*some, **others))
-        np.testing.assert_array_equal(count[mine], other.count_hits(*some, **others))
-        for found, limit in ((many, None), (few, 2)):
-            reference = other.multi_hit(*some, **others, max_hits=limit)
-            chosen = np.isin(found.ray_id, mine)
-            for name in COLUMNS:
-                wanted = getattr(reference, name)
-                np.testing.assert_array_equal(getattr(found, name)[chosen], wanted)
+@pytest.mark.parametrize(
+    ("make", "way", "options"), [_named(*one, k) for k, one in enumerate(WAYS)]
+)
+def test_bits_are_those_without_the_parts(make: Any, way: str, options: dict[str, str]) -> None:
+    case = make()
+    tracer, left = _tracer(case.scene, way, options), left_of(case, **options)
+    for coherent in (True, False):
+        check(tracer, left, some_rays(COUNT, 1, coherent), some_masks(COUNT))
 
 
-def _masks() -> np.ndarray:
-    return np.random.default_rng(2).choice(RAY_MASKS, COUNT)
-
-
-@pytest.mark.parametrize("coherent", [True, False])
 @pytest.mark.parametrize("structure", STRUCTURES)
-def test_each_structure(structure: str, coherent: bool) -> None:
-    scene = rs.Scene(_meshes())
-    left = {mask: rs.Tracer(_without(scene, mask), "brute") for mask in RAY_MASKS}
-    check(rs.Tracer(scene, structure), left, _rays(COUNT, 1, coherent), _masks())
+def test_each_structure(structure: str) -> None:
+    case = of_meshes()
+    for coherent in (True, False):
+        rays = some_rays(COUNT, 1, coherent)
+        check(rs.Tracer(case.scene, structure), left_of(case), rays, some_masks(COUNT))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_each_kernel_for_many_rays(kernel: str) -> None:
-    scene = rs.Scene(_meshes())
-    left = {mask: rs.Tracer(_without(scene, mask), "brute") for mask in RAY_MASKS}
-    check(rs.Tracer(scene, kernel=kernel), left, _rays(COUNT, 1, True), _masks())
+@pytest.mark.parametrize("structure", _later("bvh", "brute"))
+def test_worlds(structure: str) -> None:
+    case, worlds = of_instances(has_worlds=True), np.arange(COUNT) % 2
+    tracer = rs.Tracer(case.scene, structure)
+    check(tracer, left_of(case), some_rays(COUNT, 1, True), some_masks(COUNT), worlds=worlds)
 
 
 @pytest.mark.ci
 def test_the_multipass_machine() -> None:
-    scene = rs.Scene(_meshes())
-    left = {mask: rs.Tracer(_without(scene, mask), "brute") for mask in RAY_MASKS}
-    tracer = rs.Tracer(scene, machine="multipass")
-    check(tracer, left, _rays(COUNT, 1, True), _masks())
+    case = of_meshes()
+    tracer = rs.Tracer(case.scene, machine="multipass")
+    check(tracer, left_of(case), some_rays(COUNT, 1, True), some_masks(COUNT))
 
 
-def _placed(mask: int | None, worlds: bool) -> rs.Scene:
-    """Instances, some of whose masks are those of their meshes; one object for each of them.
-
-    With a mask, objects that it leaves out have nothing to hit.
-    """
-    rng = np.random.default_rng(3)
-    meshes, own = _meshes() * 2, np.array([0, 0, 1, 4, 0, 2, 3, 0, 0, 1])
-    places = np.zeros((len(meshes), 3, 4))
-    places[:, :, :3] = np.eye(3) * rng.uniform(0.5, 1.5, (len(meshes), 1, 1))
-    places[:, :, 3] = rng.uniform(-1.0, 1.0, (len(meshes), 3))
-    if mask is not None:
-        held = [int(k) or mesh.mask for k, mesh in zip(own, meshes, strict=True)]
-        meshes = [one if k & mask else _only(one) for k, one in zip(held, meshes, strict=True)]
-    ids = np.arange(len(meshes))
-    given = {"worlds": ids % 3 - 1} if worlds else {}
-    return rs.Scene.instances(meshes, places, ids, masks=own if mask is None else None, **given)
+_MASK = st.integers(1, ALL_BITS) | st.sampled_from([1 << k for k in range(32)])
 
 
 @pytest.mark.parametrize(
-    "kernel", ["groups", "brute", *_later("packet", "wavefront", "single", "worlds")]
+    ("make", "way", "options"), [_named(*one, k) for k, one in enumerate(WAYS)]
 )
-def test_instances(kernel: str) -> None:
-    worlds = kernel == "worlds"
-    options = {"kernel": kernel} if kernel in KERNELS else {}
-    more = {"worlds": np.arange(COUNT) % 2} if worlds else {}
-    structure = "brute" if kernel == "brute" else "bvh"
-    tracer = rs.Tracer(_placed(None, worlds), structure, **options)
-    left = {mask: rs.Tracer(_placed(mask, worlds), "brute") for mask in RAY_MASKS}
-    check(tracer, left, _rays(COUNT, 1, True), _masks(), **more)
+@settings(max_examples=6, deadline=None)
+@given(
+    parts=st.lists(_MASK, min_size=5, max_size=5),
+    masks=st.lists(_MASK | st.just(0), min_size=1, max_size=4),
+    seed=st.integers(0, 99),
+    coherent=st.booleans(),
+)
+def test_any_masks(
+    make: Any,
+    way: str,
+    options: dict[str, str],
+    parts: list[int],
+    masks: list[int],
+    seed: int,
+    coherent: bool,
+) -> None:
+    case, own = make(parts), np.resize(np.array(masks, np.uint32), 100)
+    given = own if len(masks) > 1 else own[0]
+    tracer = _tracer(case.scene, way, options)
+    check(tracer, left_of(case, masks, **options), some_rays(100, seed, coherent), given)
 
 
 def test_instances_of_instances_flattened_and_moved() -> None:
@@ -161,24 +135,13 @@ def test_instances_of_instances_flattened_and_moved() -> None:
         assert tracer.any_hit(*rays).all()
 
 
-def _combined(mask: int) -> rs.Scene:
-    """Meshes, a height field and spheres; what a mask leaves out is not there."""
-    rng = np.random.default_rng(5)
-    heights, places = rng.uniform(-1.0, 1.0, (9, 9)), rng.uniform(-2.0, 2.0, (30, 3))
-    if not mask & 2:
-        heights = np.full((9, 9), np.nan)
-    field = rs.Scene.height_field(heights, origin=(-2, -2, 0), spacing=0.5, mask=2)
-    spheres = [rs.Scene.spheres(places, 0.4, mask=4)] if mask & 4 else []
-    return rs.Scene.combine([_without(rs.Scene(_meshes()), mask), field, *spheres])
-
-
-@pytest.mark.parametrize("kernel", ["packet", *_later("wavefront", "single", "brute")])
-def test_spheres_and_height_fields(kernel: str) -> None:
-    options = {} if kernel == "brute" else {"kernel": kernel}
-    structure = "brute" if kernel == "brute" else "bvh"
-    tracer = rs.Tracer(_combined(ALL_BITS), structure, **options)
-    left = {mask: rs.Tracer(_combined(mask), "brute") for mask in RAY_MASKS}
-    check(tracer, left, _rays(COUNT, 1, True), _masks())
+def _emptied(scene: rs.Scene, mask: int) -> rs.Scene:
+    """The same scene, where what the mask leaves out cannot be hit; ids are the same."""
+    meshes = [
+        one if one.mask & mask else one.moved(np.full(one.vertices.shape, np.nan))
+        for one in scene.meshes
+    ]
+    return rs.Scene(meshes)
 
 
 def _is_low(hit: Any) -> Any:
@@ -190,9 +153,9 @@ def _add(hit: Any, payload: Any) -> None:
 
 
 def test_filters_programs_and_single_rays() -> None:
-    scene = rs.Scene(_meshes())
-    tracer, other = rs.Tracer(scene), rs.Tracer(_without(scene, 2))
-    rays = _rays(COUNT, 1, True)
+    scene = of_meshes().scene
+    tracer, other = rs.Tracer(scene), rs.Tracer(_emptied(scene, 2))
+    rays = some_rays(COUNT, 1, True)
     skip = tracer.first_hit(*rays, mask=2)
     for options in ({"on_hit": _is_low}, {"skip_prim_ids": skip}):
         first, expected = (
@@ -219,31 +182,9 @@ def test_filters_programs_and_single_rays() -> None:
     np.testing.assert_array_equal(counting.count_hits(*rays, mask=2), other.count_hits(*rays))
 
 
-_MASK = st.integers(1, ALL_BITS) | st.sampled_from([1 << k for k in range(32)])
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.lists(_MASK, min_size=5, max_size=5), st.lists(_MASK | st.just(0), min_size=1), st.data())
-def test_any_masks(parts: list[int], masks: list[int], data: st.DataObject) -> None:
-    meshes = [one.with_mask(mask) for one, mask in zip(_meshes(), parts, strict=True)]
-    tracer = rs.Tracer(rs.Scene(meshes), kernel=data.draw(st.sampled_from(KERNELS)))
-    rays = _rays(100, 4, data.draw(st.booleans()))
-    own = np.resize(np.array(masks, np.uint32), 100)
-    every = tracer.multi_hit(*rays)
-    seen = (np.array(parts, np.uint32)[every.mesh_id] & own[every.ray_id]) != 0
-    many, counts = tracer.multi_hit(*rays, mask=own), np.bincount(every.ray_id[seen], minlength=100)
-    np.testing.assert_array_equal(many.t, every.t[seen])
-    np.testing.assert_array_equal(many.prim_id, every.prim_id[seen])
-    np.testing.assert_array_equal(tracer.count_hits(*rays, mask=own), counts)
-    first = tracer.first_hit(*rays, mask=own)
-    np.testing.assert_array_equal(first.prim_id >= 0, counts > 0)
-    rows = (np.cumsum(counts) - counts)[counts > 0]
-    np.testing.assert_array_equal(first.prim_id[counts > 0], many.prim_id[rows])
-
-
 def test_large_batches_are_raced_with_masks() -> None:
-    scene, rays = rs.Scene(_meshes()), _rays(100_000, 6, False)
-    masks = np.random.default_rng(2).choice(RAY_MASKS, 100_000)
+    scene, rays = of_meshes().scene, some_rays(100_000, 6, False)
+    masks = some_masks(100_000)
     tracer, single = rs.Tracer(scene), rs.Tracer(scene, kernel="single")
     for query in ("any_hit", "count_hits"):
         found = getattr(tracer, query)(*rays, mask=masks)
@@ -354,10 +295,7 @@ def test_bad_masks_of_instances(masks: Any) -> None:
 
 
 def test_refusals_name_the_argument() -> None:
-    scene = rs.Scene([rs.Mesh(*cube())])
     rays = [0, 0, 0], [0, 0, 1]
-    with pytest.raises(RaystreamError, match="mask: not supported with precision='float64'"):
-        rs.Tracer(scene, precision="float64").first_hit(*rays, mask=1)
     other = rs.Tracer(rs.Scene([rs.Mesh(*cube(), mask=2)]), machine="multipass")
     with pytest.raises(RaystreamError, match=r"mask: .*on_hit.* machine='multipass'; use machine"):
         other.first_hit(*rays, mask=1, on_hit=_is_low)

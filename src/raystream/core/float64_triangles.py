@@ -129,9 +129,9 @@ class Float64Triangles(Triangles):
         corners[prim_id < 0] = np.nan
         return corners
 
-    def local_corners(self, prim_ids: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+    def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
         """See `Store.local_corners`: not rounded to float32."""
-        return (super().local_corners(prim_ids) - self.center) * self.scale
+        return (super().local_corners(numbers) - self.center) * self.scale
 
     def points_to_world(
         self,

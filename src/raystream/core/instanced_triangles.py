@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,27 @@ class InstancedTriangles(Store):
         """See `Store.saved_masks`."""
         own = self.instances.masks
         return super().saved_masks() | ({} if own is None else {"instances": own})
+
+    @cached_property
+    def instance_masks(self) -> NDArray[np.uint32]:
+        """All bits of the masks in each instance, shape (K,)."""
+        return self._instance_masks(np.bitwise_or)
+
+    @cached_property
+    def has_masks_by_instance(self) -> bool:  # type: ignore[override]
+        """See `Store`."""
+        return np.array_equal(self.instance_masks, self._instance_masks(np.bitwise_and))
+
+    def _instance_masks(self, combine: np.ufunc) -> NDArray[np.uint32]:
+        """Each instance's own mask, or those of its object's meshes combined."""
+        own, masks = self.instances.masks, self.mesh_masks
+        meshes = np.searchsorted(self.mesh_splits, self.first_prims)
+        of_objects = [
+            combine.reduce(masks[first:end], initial=masks[first]) if end > first else 0
+            for first, end in pairwise(meshes)
+        ]
+        found = np.array(of_objects, np.uint32)[self.instances.object_ids]
+        return found if own is None else np.where(own > 0, own, found)
 
     def moved(self, instances: Instances) -> InstancedTriangles:
         """The same objects, with instances elsewhere."""
@@ -295,6 +317,12 @@ class InstancedTriangles(Store):
         for k, rows in self._by_object(instance_id):
             corners[rows] = self.objects[k].corners[prims[rows] - self.first_prims[k]]
         return corners.reshape(*prim_id.shape, 3, 3)
+
+    def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+        """See `Store.local_corners`."""
+        prim_id, instance_id = self.split_ids(numbers.astype(np.int32))
+        corners = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
+        return (corners - self.center) * self.scale
 
     def points_to_world(
         self, points: NDArray[np.float64], instance_id: NDArray[np.int32]

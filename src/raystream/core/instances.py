@@ -131,6 +131,32 @@ class Instances:
         for array in (self.object_ids, self.transforms, self.inverses, self.conditions):
             array.flags.writeable = False
 
+    @property
+    def sides(self) -> NDArray[np.float64]:
+        """Shape (K,): -1 for instances that are mirrored, else 1."""
+        linear = self.transforms[:, :, :3]
+        largest = np.abs(linear).max(axis=(1, 2), keepdims=True, initial=0.0)
+        return np.asarray(np.sign(np.linalg.det(linear / largest)), np.float64)
+
+    def in_world(self, world: int) -> NDArray[np.intp]:
+        """The instances that are in a world, or in all, increasing.
+
+        Raises
+        ------
+        ValueError
+            If there are no worlds, or not this one.
+        """
+        if self.worlds is None or not -1 <= world < self.world_count:
+            known = f"-1 to {self.world_count - 1:,}" if self.world_count else "a scene with worlds"
+            raise ValueError(f"world: expected {known}, got {world}")
+        return np.flatnonzero((self.worlds == world) | (self.worlds < 0))
+
+    def picked(self, rows: NDArray[np.intp]) -> Instances:
+        """Some of the instances, in no worlds."""
+        names = None if self.names is None else [self.names[k] for k in rows]
+        masks = None if self.masks is None else self.masks[rows]
+        return Instances(self.object_ids[rows], self.transforms[rows], None, names, masks)
+
     def moved(self, transforms: Any) -> Instances:
         """The same objects, elsewhere.
 

@@ -291,12 +291,18 @@ class Primitives(Store):
         """
         origins = super().spawned(hits, directions)
         is_sphere, rows, normals = self._on_spheres(hits)
-        centers, radii = self.spheres.centers[rows], self.spheres.radii[rows]
         side = np.einsum("ij,ij->i", normals, directions[is_sphere])
-        side = np.where(side >= 0.0, 1.0, -1.0)
-        offset = LEAVING * (radii + np.abs(centers).max(axis=1, initial=0.0))
-        origins[is_sphere] = centers + (radii + side * offset)[:, None] * normals
+        origins[is_sphere] = self.beside_spheres(rows, normals, np.where(side >= 0.0, 1.0, -1.0))
         return origins
+
+    def beside_spheres(
+        self, rows: NDArray[np.int64], normals: NDArray[np.float64], sides: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Where rays leave spheres, world space, outward (side 1) or inward (-1)."""
+        centers, radii = self.spheres.centers[rows], self.spheres.radii[rows]
+        offset = LEAVING * (radii + np.abs(centers).max(axis=1, initial=0.0))
+        places: NDArray[np.float64] = centers + (radii + sides * offset)[:, None] * normals
+        return places
 
     def flat_corners(self, hits: HitColumns) -> NDArray[np.float32]:
         """Corners of flat surfaces, shape (N, 3, 3), float32, local frame; 0 for misses.

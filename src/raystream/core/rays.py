@@ -40,7 +40,7 @@ VALID, INVALID = np.uint8(RayStatus.VALID), np.uint8(RayStatus.INVALID)
 class RayArrays(NamedTuple):
     """Rays as the caller gave them, of which at least one array is on a GPU; nothing is checked.
 
-    `worlds` is None in a scene whose instances are in no worlds.
+    `worlds` is None in a scene whose instances are in no worlds, and `mask` for all bits.
     """
 
     origins: Any
@@ -48,6 +48,7 @@ class RayArrays(NamedTuple):
     t_min: Any
     t_max: Any
     worlds: Any = None
+    mask: Any = None
 
     def is_on_gpu(self) -> bool:
         """Whether at least one of the arrays says that it is in a GPU's memory."""

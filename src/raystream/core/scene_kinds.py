@@ -17,8 +17,8 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
     {
         "instances": "not supported in a scene with instances; scene.flattened() is the same scene "
         "without them, if it fits into memory",
-        "worlds": "not supported in a scene whose instances are in worlds; make a scene of the "
-        "instances of one world",
+        "worlds": "not supported in a scene whose instances are in worlds; use in_world of the "
+        "tracer or the scene",
         "spheres": "not supported in a scene with spheres",
         "fields": "not supported in a scene with height fields",
         "float64": "not supported with precision='float64'",
@@ -34,9 +34,6 @@ _PRIMITIVES = ("spheres", "fields")
 _ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
 
 # Why a kind of scene lacks a feature.
-_PROGRAM = "programs and filters read triangles in float32"
-_PATCHES = "patches are of triangles, in one place each"
-_COUNTS = "its traversal does not count"
 _SETS = "worlds are sets of instances"
 
 
@@ -68,17 +65,17 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "queries": Feature(
             _ALL, "`first_hit`, `any_hit`, `multi_hit`, `count_hits`, `memory_needed`"
         ),
-        "cast": Feature(_ONE_WORLD, "`cast`"),
+        "cast": Feature(_ALL, "`cast`"),
         "structure='bvh'": Feature(_ALL),
         "structure='brute'": Feature(_ALL),
         "device='cpu', machine='branching'": Feature(_ALL),
         "device='cuda', machine='branching'": Feature(_ALL, '``device="cuda"``'),
         "device='graphics', machine='compute'": Feature(_PLACED),
-        "worlds": Feature(_PLACED, "``worlds=``", _SETS),
-        "counters=True": Feature((*_PLACED, *_PRIMITIVES), "``counters=True``", _COUNTS),
+        "worlds": Feature(_PLACED, "``worlds=``, `Tracer.in_world`", _SETS),
+        "counters=True": Feature(_ALL, "``counters=True``"),
         "on_hit, skip_prim_ids": Feature(_ALL, "``on_hit=``, ``skip_prim_ids=``"),
         "trace": Feature(_ALL, "`Tracer.trace`"),
-        "mask": Feature((*_PLACED, *_PRIMITIVES), "``mask=``", _PROGRAM),
+        "mask": Feature(_ALL, "``mask=``"),
         "update": Feature(
             _ALL,
             "`Tracer.update`",
@@ -92,29 +89,29 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "materials that are not opaque": Feature(
             _ALL, "`render`, with materials that are not opaque"
         ),
-        "heatmap": Feature(("instances", *_PRIMITIVES), "`heatmap`", _COUNTS),
-        "lidar_returns": Feature(_ONE_WORLD, "`lidar_returns`, `lidar_sweep`"),
-        "thickness": Feature(_ONE_WORLD, "`thickness`"),
+        "heatmap": Feature(_ONE_WORLD, "`heatmap`", _SETS),
+        "lidar_returns": Feature(_ALL, "`lidar_returns`, `lidar_sweep`"),
+        "thickness": Feature(_ALL, "`thickness`"),
         "visibility": Feature(_ONE_WORLD, "`visibility` between points"),
         "points on surfaces": Feature(_ALL, "`visibility` of hits"),
         "surface_points": Feature(_ALL, "`surface_points`"),
         "out": Feature(_ALL, "`visibility` with ``out=``"),
         "cutouts=True, with surfaces that are not opaque": Feature(_ALL, "cut-outs in analyses"),
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
-        "view_factors": Feature(("fields", "float64"), "`view_factors`", _PATCHES),
-        "closest points": Feature(_ONE_WORLD, "`closest_point`, `signed_distance`"),
+        "view_factors": Feature(_ONE_WORLD, "`view_factors`"),
+        "closest points": Feature(_ALL, "`closest_point`, `signed_distance`"),
         "inside tests": Feature(
-            _ONE_WORLD,
+            _ALL,
             "`contains`",
             notes={"fields": '``method="winding"``: they are open surfaces'},
         ),
-        "winding numbers": Feature(_ONE_WORLD, "`winding_number`"),
+        "winding numbers": Feature(_ALL, "`winding_number`"),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
         "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
-        "raystream.torch": Feature(_ONE_WORLD, "`raystream.torch`"),
-        "raystream.jax": Feature(_ONE_WORLD, "`raystream.jax`"),
+        "raystream.torch": Feature(_ONE_WORLD, "`raystream.torch`", _SETS),
+        "raystream.jax": Feature(_ONE_WORLD, "`raystream.jax`", _SETS),
         "a cluster": Feature(_ONE_WORLD, "clusters", _SETS),
-        "walk": Feature(_ONE_WORLD, "`raystream.stepper.walk`"),
+        "walk": Feature(_ONE_WORLD, "`raystream.stepper.walk`", _SETS),
     }
 )
 

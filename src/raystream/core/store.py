@@ -135,6 +135,9 @@ class Store:
         """The first numbers of the parts that have a mask each, and these masks."""
         return self.mesh_splits[:-1], self.mesh_masks
 
+    #: Whether all that is in an instance has the same mask.
+    has_masks_by_instance: bool = False
+
     # Solids.
 
     #: The triangles as parts, each in one frame.
@@ -201,9 +204,12 @@ class Store:
         corners[hits.prim_id < 0] = 0.0
         return corners
 
-    def local_corners(self, prim_ids: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
-        """Corners of triangles in the local frame, shape (N, 3, 3), float64; NaN without any."""
-        ids = prim_ids.astype(np.int32)
+    def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+        """Corners of triangles in the scene's local frame, shape (N, 3, 3); NaN without any.
+
+        Their numbers are those of `numbers_of`.
+        """
+        ids = numbers.astype(np.int32)
         return self.corners_at(ids, np.zeros_like(ids))
 
     def local_positions(self, hits: HitColumns) -> NDArray[np.float64]:

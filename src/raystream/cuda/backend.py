@@ -13,6 +13,7 @@ from raystream.cuda.bvh.kernels import layout_of, traced_as
 from raystream.cuda.hit_ids import HitIds
 from raystream.cuda.host_rays import trace_from_host
 from raystream.cuda.launch import DeviceScene
+from raystream.cuda.masks import DeviceMasks
 from raystream.cuda.points import DevicePoints
 from raystream.cuda.programs.device_program import DeviceProgram
 from raystream.cuda.programs.payload import record_of
@@ -56,7 +57,7 @@ class CudaBackend(Backend):
         If an option is out of range.
     """
 
-    capabilities = Capabilities(device_arrays=True, shading=True, points=True)
+    capabilities = Capabilities(device_arrays=True, shading=True, points=True, masks=True)
 
     def __init__(
         self,
@@ -78,6 +79,7 @@ class CudaBackend(Backend):
             structure.triangles,
             DeviceTriangles(gpu, structure.triangles),
             HitIds(gpu, structure.triangles),
+            DeviceMasks(gpu, structure.triangles),
         )
         self._own_scene = None if layout_of(traced_as(structure)) else self._scene
         #: Whether the scene has triangles alone, where they are, in float32: for shading and

@@ -88,7 +88,8 @@ def _trace_part(
         tallies = scope.cleared("tallies", shape, np.uint32)
     if hasattr(sink, "splits"):
         splits = sink.splits[rows.start : rows.stop + 1]
-    placed = place_rays(batch, rows, scope.placed)
+    masks = batch.masks if batch.masks is None or len(batch.masks) == 1 else batch.masks[rows]
+    placed = place_rays(batch, rows, scope.placed).with_masks(scene.masks.place(scope, masks))
     rays = RayLauncher(scene, scope, placed, rows.start, tallies)
     payload = None if sink.records is None else sink.records[rows]
     chosen = query.on_hit

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.cuda.builders.device_resident import Resident
 from raystream.cuda.hit_ids import HitIds
+from raystream.cuda.masks import DeviceMasks
 from raystream.cuda.rays import DeviceRays, moved
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
@@ -45,6 +46,7 @@ class DeviceScene(NamedTuple):
     triangles : Triangles, InstancedTriangles or Primitives
     program_triangles : DeviceTriangles
     ids : HitIds
+    masks : DeviceMasks
     """
 
     gpu: Gpu
@@ -54,6 +56,7 @@ class DeviceScene(NamedTuple):
     triangles: Any
     program_triangles: DeviceTriangles
     ids: HitIds
+    masks: DeviceMasks
 
 
 class RayLauncher:
@@ -108,6 +111,7 @@ class RayLauncher:
         source, tree = self.rays.source_from(start), scene.resident.tree
         if self.rays.worlds is not None:
             tree = tree._replace(worlds=moved(self.rays.worlds, start, 4))
-        shared = RayScene(source, scene.frame, tree, status, tallies, None)
         self.scope.follow()
+        filter_ = scene.masks.filter_of(self.scope, self.rays.masks, start)
+        shared = RayScene(source, scene.frame, tree, status, tallies, filter_)
         self.scope.launch(kernel, end - start, (shared, out))

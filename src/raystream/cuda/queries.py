@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.masks import ray_masks
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
@@ -22,7 +23,7 @@ from raystream.cuda.launch import DeviceScene, RayLauncher, Steps, resume
 from raystream.cuda.programs.payload import place_payload
 from raystream.cuda.programs.rounds import ProgramRounds
 from raystream.cuda.programs.steps import note_hits, note_invalid
-from raystream.cuda.rays import place_device_rays
+from raystream.cuda.rays import host_values, place_device_rays
 from raystream.cuda.scan import prefix_sum
 from raystream.jit.cuda import CudaError, DeviceArray, StreamScope, stream_of
 from raystream.jit.threads import Progress
@@ -401,7 +402,7 @@ def trace_on_device(
     Notes
     -----
     First and any hit and counting return before the device is done. Multi-hit reads the number of
-    hits. Worlds on the device are read, too. Filters and programs wait after each round.
+    hits. Worlds and masks on the device are read, too. Filters and programs wait after each round.
     """
 
     def report(done: int, passes: int) -> None:
@@ -412,6 +413,9 @@ def trace_on_device(
     world_count = 0 if arrays.worlds is None else scene.triangles.instances.world_count
     with StreamScope(scene.gpu, stream_of(scene.gpu, arrays._asdict())) as scope:
         placed = place_device_rays(scope, arrays, world_count, kind)
+        if arrays.mask is not None:
+            masks = ray_masks(host_values(scope, "mask", arrays.mask), placed.shape)
+            placed = placed.with_masks(scene.masks.place(scope, masks))
         rays = RayLauncher(scene, scope, placed, report=report)
         task = QUERIES[query.kind](query, rays, payload=payload)
         with closing(task.launch()) as steps:  # after an error, before the scope ends

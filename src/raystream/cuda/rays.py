@@ -57,15 +57,22 @@ class DeviceRays(NamedTuple):
         Keep them until the rays are traced.
     worlds : uint64 or None
         Address of the world of each ray, int32, in a scene whose instances are in worlds.
+    masks : DeviceArray of shape (N,) or (1,), uint32, or None
+        The mask of each ray, or of all; None for all bits.
     """
 
     shape: tuple[int, ...]
     source: RaySource
     arrays: tuple[DeviceArray, ...] = ()
     worlds: np.uint64 | None = None
+    masks: DeviceArray | None = None
 
     def __len__(self) -> int:
         return math.prod(self.shape)
+
+    def with_masks(self, masks: DeviceArray | None) -> DeviceRays:
+        """The same rays with masks."""
+        return DeviceRays(self.shape, self.source, self.arrays, self.worlds, masks)
 
     def source_from(self, first: int) -> RaySource:
         """The source of the rays from `first` on."""
@@ -143,7 +150,7 @@ def place_device_rays(
     arrays : RayArrays
         As for `RayBatch`; arrays on the device are float32 or float64, and those on the host
         a single vector or number. Worlds may be on either, and those on the device are read to be
-        checked.
+        checked. Masks are left out: see `host_values`.
     world_count : int
         Worlds of the scene.
     kind : float32 or float64
@@ -165,7 +172,7 @@ def place_device_rays(
     with or without gaps, forward or backward. Other layouts, such as columns or two arrays
     broadcast along different axes, and limits of another type, are packed on the device.
     """
-    origins, directions, t_min, t_max, worlds = arrays
+    origins, directions, t_min, t_max, worlds, _ = arrays
     vectors = _vectors(scope, "origins", origins), _vectors(scope, "directions", directions)
     try:
         shape = np.broadcast_shapes(*(one.shape[:-1] for one in vectors))
@@ -192,15 +199,28 @@ def _placed_worlds(
     scope: StreamScope, worlds: Any, count: int, shape: tuple[int, ...]
 ) -> np.uint64:
     """Address of the worlds of rays, checked on the host."""
-    if is_on_gpu(worlds):
-        view = view_of(scope, "worlds", worlds)
-        worlds = np.empty(view.shape, view.dtype)
-        long = [k for k, size in enumerate(view.shape) if size > 1] if worlds.size else []
-        if any(view.strides[k] != worlds.strides[k] for k in long):
-            raise TypeError("worlds: expected a contiguous array on a GPU; copy it")
-        scope.gpu.copy(worlds.ctypes.data, view.address, worlds.nbytes, scope.stream)
-        scope.stream.sync()
+    worlds = host_values(scope, "worlds", worlds)
     return scope.placed("worlds", flat_ids("worlds", worlds, count, shape)).address
+
+
+def host_values(scope: StreamScope, name: str, values: Any) -> Any:
+    """Values on the host, to be checked there; those on a device are copied.
+
+    Raises
+    ------
+    TypeError
+        If an array on the device has gaps.
+    """
+    if not is_on_gpu(values):
+        return values
+    view = view_of(scope, name, values)
+    copied = np.empty(view.shape, view.dtype)
+    long = [k for k, size in enumerate(view.shape) if size > 1] if copied.size else []
+    if any(view.strides[k] != copied.strides[k] for k in long):
+        raise TypeError(f"{name}: expected a contiguous array on a GPU; copy it")
+    scope.gpu.copy(copied.ctypes.data, view.address, copied.nbytes, scope.stream)
+    scope.stream.sync()
+    return copied
 
 
 def _vectors(scope: StreamScope, name: str, values: Any) -> DeviceView:

@@ -25,8 +25,8 @@ class GrowingBuffers(Generic[B]):
     make : callable
         Allocates buffers for a number of hits; raises MemoryError if that is too much.
     fill : callable
-        ``fill(begin, end, buffers)`` traces as many rays as the buffers allow, delivers their
-        hits, and returns where it stopped. If that is `begin`, it gets larger buffers.
+        ``fill(begin, end, buffers, *memory)`` traces as many rays as the buffers allow, delivers
+        their hits, and returns where it stopped. If that is `begin`, it gets larger buffers.
     capacity : int
         Of the first buffers.
 
@@ -38,7 +38,7 @@ class GrowingBuffers(Generic[B]):
     def __init__(
         self,
         make: Callable[[int], B],
-        fill: Callable[[int, int, B], int],
+        fill: Callable[..., int],
         capacity: int,
     ) -> None:
         self._make = make
@@ -46,13 +46,13 @@ class GrowingBuffers(Generic[B]):
         self._first_capacity = capacity
         self._spare: list[B] = []  # of the threads between two calls
 
-    def __call__(self, begin: int, end: int) -> None:
+    def __call__(self, begin: int, end: int, *memory: int) -> None:
         """Do all from begin to end; the body of a `parallel_for`."""
         buffers = self._take()
         if begin == end:  # compile
-            self._fill(begin, end, buffers)
+            self._fill(begin, end, buffers, *memory)
         while begin < end:
-            reached = self._fill(begin, end, buffers)
+            reached = self._fill(begin, end, buffers, *memory)
             if reached == begin:
                 buffers = self._make(2 * buffers.capacity)
             begin = reached

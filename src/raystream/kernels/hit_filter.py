@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.core.store import Store
 from raystream.jit.constants import BYTES_32, NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import call_filter, no_inline
 from raystream.jit.simd import count_trailing_zeros, load, scratch, store
-from raystream.kernels.masks import is_admitted
+from raystream.kernels.masks import has_bit, is_admitted
 from raystream.kernels.ray import world_t
 
 #: Bytes of 16 hits as filters read them, and where their u and v are.
@@ -28,8 +29,8 @@ class HitFilter(NamedTuple):
 
     Attributes
     ----------
-    function : uint64
-        Address of the filter's code; 0 if there is none.
+    function : uint64 or None
+        Address of the filter's code; 0 if there is none, None where there cannot be one.
     context : uint64
         Its first argument.
     skipped : uint64
@@ -37,18 +38,29 @@ class HitFilter(NamedTuple):
     skip_count : uint64
         Triangles per ray; 0 if rays skip none.
     masks : uint64
-        Address of a `masks.MaskTable`; 0 if all rays may hit everything.
+        Address of a `masks.MaskTable` to ask at hits; 0 if none has to be asked.
+    entered : uint64
+        The same where a ray enters an instance.
     """
 
-    function: np.uint64
+    function: np.uint64 | None
     context: np.uint64
     skipped: np.uint64
     skip_count: np.uint64
     masks: np.uint64
+    entered: np.uint64
 
 
 #: It ignores no hit.
-NO_FILTER = HitFilter(NULL, NULL, NULL, ZERO_U64, NULL)
+NO_FILTER = HitFilter(NULL, NULL, NULL, ZERO_U64, NULL, NULL)
+
+
+def masked(given: HitFilter, table: np.uint64, store: Store) -> HitFilter:
+    """A filter that also asks for the masks of a `masks.MaskTable` at an address.
+
+    Hits in an instance are not asked for if it has one mask, which its rays have passed.
+    """
+    return given._replace(masks=NULL if store.has_masks_by_instance else table, entered=table)
 
 
 class RayFilter(NamedTuple):
@@ -71,6 +83,7 @@ class RayFilter(NamedTuple):
 
 @device
 def _skips(filter_, ray, prim_id):
+    """Whether a ray skips a triangle, for a `HitFilter`."""
     at = filter_.skipped + ray * filter_.skip_count * BYTES_32
     end = at + filter_.skip_count * BYTES_32
     while at != end:
@@ -78,6 +91,14 @@ def _skips(filter_, ray, prim_id):
             return True
         at += BYTES_32
     return False
+
+
+@device
+def may_hit(own, ray, number):
+    """Whether masks and skipped triangles of a `HitFilter` let a ray hit what has a number."""
+    if own.masks != NULL and not is_admitted(own.masks, ray, number):
+        return False
+    return own.skip_count == ZERO_U64 or not _skips(own, ray, number)
 
 
 @device
@@ -119,6 +140,12 @@ def _keeps(filter_, t, u, v, prim_id):
 
 
 @device
+def asks_at_hits(own):
+    """Whether a `HitFilter` may ignore hits, not only rays that enter instances."""
+    return own.masks != NULL or own.function != NULL or own.skip_count != ZERO_U64
+
+
+@device
 def keeps(filter_, t, u, v, prim_id):
     """Whether a ray's hit at a local t exists, for a `RayFilter`; all do if it is None."""
     if filter_ is None:
@@ -127,9 +154,25 @@ def keeps(filter_, t, u, v, prim_id):
     # Masks are asked for without a call, which takes longer than they do.
     if own.masks != NULL and not is_admitted(own.masks, filter_.ray, prim_id):
         return False
-    if own.function == NULL and own.skip_count == ZERO_U64:
+    return _keeps_if_asked(own.function, filter_, t, u, v, prim_id)
+
+
+@device
+def _keeps_if_asked(function, filter_, t, u, v, prim_id):
+    if function is None:
+        return True
+    if function == NULL and filter_.filter.skip_count == ZERO_U64:
         return True
     return _keeps(filter_, t, u, v, prim_id)
+
+
+@device
+def may_enter(filter_, mask):
+    """Whether a ray may hit what has a mask, for a `RayFilter` or None."""
+    if filter_ is None:
+        return True
+    own = filter_.filter
+    return own.entered == NULL or has_bit(own.entered, filter_.ray, mask)
 
 
 @device

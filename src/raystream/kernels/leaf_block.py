@@ -181,9 +181,9 @@ def blocks_end(block, count):
 
 
 @device
-def triangle_count(block):
-    """Triangles in a block."""
-    return popcount(mask_bits(load(i32x4, block + PRIM_IDS) >= i32x4(np.int32(0))))
+def triangle_count(prim_ids):
+    """Triangles in a block, by the address of its prim_ids."""
+    return popcount(mask_bits(load(i32x4, prim_ids) >= i32x4(np.int32(0))))
 
 
 class BlockRay(NamedTuple):
@@ -314,7 +314,7 @@ def intersect_block(block, ray, search, t_in, t_out):
 def search_blocks(block, end, ray, search, t_in, t_out):
     """Test the blocks of a leaf, until the search is full; see `intersect_block`."""
     while block != end:
-        add_to(search.counters, TESTS, triangle_count(block))
+        add_to(search.counters, TESTS, triangle_count(block + PRIM_IDS))
         search = intersect_block(block, ray, search, t_in, t_out)
         if is_full(search):
             break

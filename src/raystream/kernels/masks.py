@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,14 +41,19 @@ class MaskTable(NamedTuple):
     @classmethod
     def of(cls, rays: NDArray[np.uint32], runs: MaskRuns) -> MaskTable:
         """For the masks of rays, one for each or one for all."""
-        step = 4 if len(rays) > 1 else 0
         # Of the last rays' group, 16 lanes are read.
         padded = np.append(rays, np.full(_LANES, rays[-1]) if len(rays) else [])
         padded = np.ascontiguousarray(padded, np.uint32)
-        count = len(runs.starts)
-        at = [one.ctypes.data for one in (padded, *runs)]
-        row = np.array([at[0], step, *at[1:], count, halvings_of(count)], np.uint64)
+        row = mask_numbers([one.ctypes.data for one in (padded, *runs)], len(rays), runs)
         return cls(np.uint64(row.ctypes.data), (row, padded, *runs))
+
+
+def mask_numbers(
+    places: Sequence[int | np.uint64], ray_count: int, runs: MaskRuns
+) -> NDArray[np.uint64]:
+    """What a `MaskTable` has at its address: where the rays' masks and the runs are, and sizes."""
+    step, count = 4 if ray_count > 1 else 0, len(runs.starts)
+    return np.array([places[0], step, *places[1:], count, halvings_of(count)], np.uint64)
 
 
 @device
@@ -58,16 +64,27 @@ def _mask_of(table, number):
 
 
 @device
+def has_bit(masks, ray, mask):
+    """Whether the masks of a ray and of a part have a bit in common; see `MaskTable.address`."""
+    table = _Table(masks)
+    return load(np.int32, table.rays + ray * table.step) & mask != np.int32(0)
+
+
+@device
+def lanes_with_bit(masks, first, mask):
+    """The same for 16 consecutive rays."""
+    table = _Table(masks)
+    own = load(i32x16, table.rays + first * table.step)
+    return (own & i32x16(mask)) != i32x16(np.int32(0))
+
+
+@device
 def is_admitted(masks, ray, number):
     """Whether a ray may hit what has a number, by the address of a `MaskTable`."""
-    table = _Table(masks)
-    own = load(np.int32, table.rays + ray * table.step)
-    return own & _mask_of(table, number) != np.int32(0)
+    return has_bit(masks, ray, _mask_of(_Table(masks), number))
 
 
 @device
 def admitted_lanes(masks, first, number):
     """The mask of those of 16 consecutive rays that may hit what has a number."""
-    table = _Table(masks)
-    own = load(i32x16, table.rays + first * table.step)
-    return (own & i32x16(_mask_of(table, number))) != i32x16(np.int32(0))
+    return lanes_with_bit(masks, first, _mask_of(_Table(masks), number))

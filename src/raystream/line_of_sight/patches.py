@@ -1,4 +1,7 @@
-"""Patches: groups of triangles, and points and directions sampled on them."""
+"""Patches: groups of triangles and spheres, and points and directions sampled on them.
+
+They are known by the numbers of `Store.numbers_of`: those of all instances, if there are any.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import as_integers
+from raystream.core.spawn import WORLD_UNIT
 from raystream.core.store import Store
 from raystream.line_of_sight.end_points import leaving_distance, planes_of
+from raystream.line_of_sight.placed_ends import leaving_heights
 
 #: Points keep this many times the distance at which their rays start from their triangle's edges,
 #: so that rays do not start behind a neighbour at an angle of 10 degrees or more.
@@ -20,27 +25,27 @@ _HALF_STEP = 2.0**-25
 
 
 class Patches(NamedTuple):
-    """N patches of F triangles, in the scene's local frame.
+    """N patches of F triangles or spheres, in the scene's local frame.
 
     Attributes
     ----------
     ids : ndarray of shape (F,), int64
-        The patch of each triangle; -1 for none.
-    prim_ids : ndarray of shape (A,), int64
-        Triangles with a patch and an area, patch by patch.
+        The patch of each triangle or sphere; -1 for none.
+    numbers : ndarray of shape (A,), int64
+        Those with a patch and an area, patch by patch.
     splits : ndarray of shape (N + 1,), int64
-        Patch i has ``prim_ids[splits[i]:splits[i + 1]]``.
+        Patch i has ``numbers[splits[i]:splits[i + 1]]``.
     shares : ndarray of shape (A,), float64
-        Areas of the patch's triangles up to this one, as shares of the patch.
+        Areas of what the patch has up to this one, as shares of the patch.
     areas : ndarray of shape (N,), float64
         World units.
     normals : ndarray of shape (F, 3), float64
-        Unit length; NaN without an area.
+        Unit length, in front; NaN without an area, and for spheres.
     triangles : Store
     """
 
     ids: NDArray[np.int64]
-    prim_ids: NDArray[np.int64]
+    numbers: NDArray[np.int64]
     splits: NDArray[np.int64]
     shares: NDArray[np.float64]
     areas: NDArray[np.float64]
@@ -49,10 +54,11 @@ class Patches(NamedTuple):
 
 
 def patch_ids(values: Any, triangles: Store) -> NDArray[np.int64]:
-    """Read the patch of each triangle, by default its mesh; see `view_factors`."""
-    count = len(triangles)
+    """Read the patch of each triangle, by default its mesh or instance; see `view_factors`."""
+    placed: Any = triangles
+    count = len(triangles) if triangles.instances is None else triangles.number_count
     if values is None:
-        splits = triangles.mesh_splits
+        splits = triangles.mesh_splits if triangles.instances is None else placed.first_ids
         return np.repeat(np.arange(len(splits) - 1), np.diff(splits))
     ids = as_integers("patches", values)
     if ids.shape != (count,):
@@ -73,25 +79,34 @@ def make_patches(ids: NDArray[np.int64], triangles: Store) -> Patches:
     ValueError
         If a patch has no area.
     """
-    normals, _, areas = planes_of(triangles.local_corners(np.arange(len(triangles))))
+    numbers = np.arange(len(ids))
+    prim_ids, instance_ids = triangles.ids_of(numbers.astype(np.int32))
+    normals, _, areas = planes_of(triangles.local_corners(numbers))
+    if triangles.instances is not None:
+        normals *= triangles.instances.sides[instance_ids, None]
+    rows = triangles.sphere_rows(prim_ids)
+    if triangles.has_primitives:
+        store: Any = triangles
+        radii = store.spheres.radii[rows[rows >= 0]] * store.scale
+        areas[rows >= 0] = 4.0 * np.pi * radii**2
     is_used = np.zeros(len(ids), bool)
     is_used[triangles.face_numbers()] = True
     is_used &= (ids >= 0) & (areas > 0.0)
-    prim_ids = np.flatnonzero(is_used)
-    prim_ids = prim_ids[np.argsort(ids[prim_ids], kind="stable")]
+    numbers = np.flatnonzero(is_used)
+    numbers = numbers[np.argsort(ids[numbers], kind="stable")]
     count = int(ids.max(initial=-1)) + 1
-    splits = np.searchsorted(ids[prim_ids], np.arange(count + 1))
+    splits = np.searchsorted(ids[numbers], np.arange(count + 1))
     empty = np.flatnonzero(np.diff(splits) == 0)
     if len(empty):
         raise ValueError(f"patches: patch {empty[0]} has no triangle with an area")
-    sums = np.cumsum(areas[prim_ids])
+    sums = np.cumsum(areas[numbers])
     before = np.concatenate([[0.0], sums])[splits]
     totals = np.diff(before)
-    patch = ids[prim_ids]
+    patch = ids[numbers]
     shares = (sums - before[:-1][patch]) / totals[patch]
     shares[splits[1:] - 1] = 1.0
     areas = totals / triangles.scale**2
-    return Patches(ids, prim_ids, splits, shares, areas, normals, triangles)
+    return Patches(ids, numbers, splits, shares, areas, normals, triangles)
 
 
 class Emitter:
@@ -110,7 +125,7 @@ class Emitter:
     def __init__(self, patches: Patches, patch: int, two_sided: bool, opacity: Any = None) -> None:
         rows = slice(patches.splits[patch], patches.splits[patch + 1])
         self._patches, self._two_sided, self._opacity = patches, two_sided, opacity
-        self._prim_ids, self._shares = patches.prim_ids[rows], patches.shares[rows]
+        self._numbers, self._shares = patches.numbers[rows], patches.shares[rows]
         self._lows = np.concatenate([[0.0], self._shares[:-1]])
         self._table: _TriangleTable | None = None
 
@@ -134,9 +149,15 @@ class Emitter:
         width = np.maximum(shares[chosen] - low, np.finfo(float).tiny)
         x = np.clip((x - low) / width, 0.0, 1.0)  # the rest of the number, uniform again
         first, along_u, along_v, normal, tangent, inset, distance = self._triangles(chosen)
+        prim_ids, _ = self._patches.triangles.ids_of(self._numbers[chosen].astype(np.int32))
+        rows = self._patches.triangles.sphere_rows(prim_ids)
+        is_sphere = rows >= 0
+        if is_sphere.any():
+            normal[is_sphere], tangent[is_sphere] = _around(x[is_sphere], y[is_sphere])
 
         root = np.sqrt(x)
         keep = 1.0 - inset
+        outward = normal
         u = 1.0 / 3.0 + (y * root - 1.0 / 3.0) * keep
         v = 1.0 / 3.0 + (root - y * root - 1.0 / 3.0) * keep
         if self._two_sided:
@@ -152,15 +173,21 @@ class Emitter:
         directions += (radius * np.sin(turn))[:, None] * other
         directions += np.sqrt(1.0 - p)[:, None] * normal
         if self._opacity:
-            directions[~self._opacity.at(self._prim_ids[chosen], u, v)] = np.nan
-        return self._patches.triangles.to_world(origins), directions
+            directions[~self._opacity.at(prim_ids, u, v)] = np.nan
+        origins = self._patches.triangles.to_world(origins)
+        if is_sphere.any():
+            store: Any = self._patches.triangles
+            outward = outward[is_sphere]
+            sides = np.einsum("nk,nk->n", outward, normal[is_sphere])
+            origins[is_sphere] = store.beside_spheres(rows[is_sphere], outward, np.sign(sides))
+        return origins, directions
 
     def _triangles(self, chosen: NDArray[np.intp]) -> _TriangleTable:
         """The columns of triangles; of all only if those are fewer than the rays."""
-        if self._table is None and len(self._prim_ids) > len(chosen):
-            return _triangle_table(self._patches, self._prim_ids[chosen])
+        if self._table is None and len(self._numbers) > len(chosen):
+            return _triangle_table(self._patches, self._numbers[chosen])
         if self._table is None:
-            self._table = _triangle_table(self._patches, self._prim_ids)
+            self._table = _triangle_table(self._patches, self._numbers)
         return _TriangleTable._make(column[chosen] for column in self._table)
 
 
@@ -176,13 +203,28 @@ class _TriangleTable(NamedTuple):
     distances: NDArray[np.float64]
 
 
-def _triangle_table(patches: Patches, prim_ids: NDArray[np.int64]) -> _TriangleTable:
-    corners = patches.triangles.local_corners(prim_ids)
+def _around(
+    x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit vectors distributed uniformly over a sphere, and others at right angles to them."""
+    # Heights are uniform (Archimedes); a sine by its factors keeps its digits near the poles.
+    sine, turn = 2.0 * np.sqrt(x * (1.0 - x)), 2.0 * np.pi * y
+    normals = np.stack([sine * np.cos(turn), sine * np.sin(turn), 1.0 - 2.0 * x], axis=1)
+    return normals, np.stack([-np.sin(turn), np.cos(turn), np.zeros_like(turn)], axis=1)
+
+
+def _triangle_table(patches: Patches, numbers: NDArray[np.int64]) -> _TriangleTable:
+    triangles: Any = patches.triangles
+    corners = triangles.local_corners(numbers)
     first = corners[:, 0]
     along_u, along_v = corners[:, 1] - first, corners[:, 2] - first
-    normals = patches.normals[prim_ids]
-    extents = (corners.max(axis=1) - corners.min(axis=1)).max(axis=-1)
-    distance = leaving_distance(patches.triangles, extents, np.abs(corners).max(axis=(1, 2)))
+    normals = patches.normals[numbers]
+    if triangles.instances is None:
+        extents = (corners.max(axis=1) - corners.min(axis=1)).max(axis=-1)
+        distance = leaving_distance(triangles, extents, np.abs(corners).max(axis=(1, 2)))
+    else:
+        heights = leaving_heights(triangles, numbers, normals)
+        distance = (heights + WORLD_UNIT * np.abs(triangles.center).max()) * triangles.scale
     sides = corners - np.roll(corners, 1, axis=1)
     doubled = np.linalg.norm(np.cross(along_u, along_v), axis=-1)
     radius = doubled / np.linalg.norm(sides, axis=-1).sum(axis=-1)  # of the inscribed circle

@@ -65,6 +65,24 @@ class PlacedPlanes(NamedTuple):
         return self.far + UNIT * (FAR_UNITS + REACH_UNITS) * length
 
 
+def leaving_heights(
+    triangles: InstancedTriangles, numbers: NDArray[np.int64], normals: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """World distances from triangles' planes, with these normals, at which rays leave them."""
+    prim_id, instance_id = triangles.split_ids(numbers.astype(np.int32))
+    corners = triangles.corners_at(prim_id, instance_id)
+    reach = np.abs(corners).max(axis=(1, 2), initial=0.0)
+    near = plane_offset(size_of(corners), reach, triangles.reaches_at(instance_id))
+    # A unit along the object's normal is this far from the plane in world space.
+    linear = triangles.instances.transforms[instance_id, :, :3]
+    height = np.linalg.norm(np.einsum("nij,ni->nj", linear, normals), axis=1)
+    scales = np.array([float(one.scale) for one in triangles.objects])
+    heights: NDArray[np.float64] = (
+        near * height / scales[triangles.instances.object_ids[instance_id]]
+    )
+    return heights
+
+
 def placed_planes(hits: Hits, triangles: InstancedTriangles) -> PlacedPlanes:
     """The planes of hits of shape (N,)."""
     count = len(hits.prim_id)

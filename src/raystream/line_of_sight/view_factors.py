@@ -52,7 +52,7 @@ class ViewFactors(NamedTuple):
         Share that hits nothing and reaches the sky, for example.
     outside_errors : ndarray of shape (N,), float64
     other : ndarray of shape (N,), float64
-        Share that hits a triangle of no patch, or the back of a patch.
+        Share that hits what is in no patch, or the back of a patch.
     other_errors : ndarray of shape (N,), float64
     areas : ndarray of shape (N,), float64
         Area of one side, in squared scene units; of a patch with cut-outs, an estimate from the
@@ -90,8 +90,9 @@ def view_factors(
     scene : Scene or Tracer
         A scene is traced with ``structure="bvh"`` on the CPU.
     patches : array_like of shape (F,), int, optional
-        The patch of each triangle, 0 to N - 1; -1 for triangles that only block [default: each
-        mesh is a patch].
+        The patch of each triangle or sphere, by prim_id: 0 to N - 1, or -1 for those that only
+        block. In a scene with instances, of each triangle of the first one, then of the next, and
+        so on [default: each mesh is a patch, as in ``mesh_id``; or each instance].
     rays : int
         Rays from each patch, at least 16; rounded up to 16 times a power of two.
     target_error : float, optional
@@ -102,7 +103,7 @@ def view_factors(
         errors exceed `target_error`.
     two_sided : bool
         Whether patches radiate and receive on both sides [default: on the front, from which
-        their triangles' vertices run counter-clockwise].
+        their triangles' vertices run counter-clockwise; on the outside of spheres].
     reciprocity : bool
         Change the estimates as little as possible, compared with their standard errors, so that
         ``areas[i] * factors[i, j]`` is symmetric, and rows still sum to 1: see Notes.
@@ -302,17 +303,32 @@ class _Caster(NamedTuple):
         And the number of rays of each replicate: those without a direction are not cast.
         """
         on_hit = self.opacity and self.opacity.on_hit
-        prim_ids = self.tracer.first_hit(*rays, on_hit=on_hit).prim_id
-        rows = np.flatnonzero(prim_ids >= 0)
-        hit = prim_ids[rows]
+        hits, triangles = self.tracer.first_hit(*rays, on_hit=on_hit), self.patches.triangles
+        numbers = triangles.numbers_of(hits.prim_id, hits.instance_id)
+        rows = np.flatnonzero(numbers >= 0)
+        hit = numbers[rows]
         found = self.patches.ids[hit]
         if not self.two_sided:
-            facing = np.einsum("nk,nk->n", self.patches.normals[hit], rays[1][rows])
-            found = np.where(facing < 0.0, found, -1)
-        target = np.full(len(prim_ids), width - 2)
+            facing = np.einsum("nk,nk->n", self.patches.normals[hit], rays[1][rows]) < 0.0
+            if triangles.has_primitives:
+                facing |= _is_outside(triangles, hit, rays[0][rows])
+            found = np.where(facing, found, -1)
+        target = np.full(len(numbers), width - 2)
         target[rows] = np.where(found < 0, width - 1, found)
-        replicates = np.arange(len(prim_ids)) // (len(prim_ids) // REPLICATES)
-        is_cast = ~np.isnan(rays[1][:, 0]) if self.opacity else np.ones(len(prim_ids), bool)
+        replicates = np.arange(len(numbers)) // (len(numbers) // REPLICATES)
+        is_cast = ~np.isnan(rays[1][:, 0]) if self.opacity else np.ones(len(numbers), bool)
         cells = (replicates * width + target)[is_cast]
         bins = np.bincount(cells, minlength=REPLICATES * width).reshape(REPLICATES, width)
         return bins, bins.sum(axis=1)
+
+
+def _is_outside(
+    triangles: Any, numbers: NDArray[np.int32], origins: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether rays that start here and meet a sphere first meet its outside."""
+    rows = triangles.sphere_rows(numbers)
+    outside = rows >= 0
+    spheres, some = triangles.spheres, rows[outside]
+    distances = np.linalg.norm(origins[outside] - spheres.centers[some], axis=1)
+    outside[outside] = distances > spheres.radii[some]
+    return outside

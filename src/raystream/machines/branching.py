@@ -9,7 +9,7 @@ from typing import Any
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, rising, thread_count
-from raystream.kernels.hit_filter import NO_FILTER
+from raystream.kernels.hit_filter import NO_FILTER, masked
 from raystream.kernels.hits import HitAccumulator, HitArrays, Sink
 from raystream.kernels.masks import MaskTable
 from raystream.kernels.point_queries import NearestArrays, PointBatch
@@ -51,7 +51,8 @@ class Branching(Backend):
         table = None if masks is None or runs.admit(masks) else MaskTable.of(masks, runs)
         if table is not None:
             given = NO_FILTER if query.on_hit is None else query.on_hit
-            query = query._replace(on_hit=given._replace(masks=table.address))
+            on_hit = masked(given, table.address, structure.triangles)
+            query = query._replace(on_hit=on_hit)
         if is_whole and (sink.tallies is not None or query.limit == 0):
             fill = partial(trace_batch, structure, query, rays)
             self.count_then_fill(query, rays, sink, progress, fill)
@@ -90,13 +91,9 @@ class Branching(Backend):
 
         Notes
         -----
-        In float64, traversals do not know the exact t of most hits: filters run on those found.
-
         A traversal finds hits in any order. So that errors do not depend on it, a query whose
         filter raises is run again, over the nearest hits of each ray.
         """
-        if self.structure.precision == "float64":
-            return False
         filter_: Any = query.on_hit
         is_one = query.kind is Kind.FIRST_HIT or query.kind is Kind.ANY_HIT
         if not is_one and (query.kind is Kind.TRACE or not filter_.is_bare):

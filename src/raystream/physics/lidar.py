@@ -91,6 +91,7 @@ def lidar_returns(
     separation: float = 0.0,
     min_range: float = 0.0,
     cutouts: bool = True,
+    worlds: Any = None,
     progress: Progress | None = None,
 ) -> LidarReturns:
     """Emit pulses and compute their returns.
@@ -126,6 +127,8 @@ def lidar_returns(
     cutouts : bool
         Whether pulses pass where a surface is cut out: where the opacity of its material is below
         its ``alpha_cutoff``, or below a half without one. False makes all of it surface.
+    worlds : array_like that broadcasts to S, int, optional
+        The world of each pulse, as in `Tracer.first_hit`.
     progress : callable, optional
         Called with (pulses done, pulses).
 
@@ -139,8 +142,6 @@ def lidar_returns(
     ValueError, TypeError
         As `Tracer.first_hit`, or if another argument is out of range; or if there are cut-outs, and
         the tracer counts.
-    RaystreamError
-        If the scene's instances are in worlds.
 
     Notes
     -----
@@ -164,6 +165,7 @@ def lidar_returns(
     held: Any = tracer.structure.triangles
     check_support("lidar_returns", held)
     batch = tracer.structure.ray_batch(origins, directions, t_min, t_max)
+    batch.worlds = tracer._world_ids(worlds, batch.shape)
     scene = tracer.scene
     names = tuple(material.name for material in scene.materials)
     reflectances = group_values(

@@ -169,6 +169,7 @@ class Scan:
                 max_hits=limit,
                 crossings="surfaces",
                 on_hit=self._on_hit,
+                worlds=batch.worlds if batch.worlds is None else batch.worlds[rows][pulses],
             )
             if not parts:
                 status[rows] = hits.status[::sub_rays]

@@ -75,6 +75,7 @@ def thickness(
     ends: Literal["report", "clip"] = "report",
     cutouts: bool = True,
     nested: Literal["both", "inner"] = "both",
+    worlds: Any = None,
     progress: Progress | None = None,
 ) -> Thickness:
     """Find where rays enter and leave closed meshes.
@@ -98,6 +99,8 @@ def thickness(
         Where meshes overlap, as a pipe in concrete does that has no hole for it: give each of
         them its whole segment, with a `RaystreamWarning` that names some of the meshes; or let
         the inner one displace the others, so that segments do not overlap.
+    worlds : array_like that broadcasts to S, int, optional
+        As in `Tracer.first_hit`.
     progress : callable, optional
         Called with (rays done, rays).
 
@@ -154,6 +157,7 @@ def thickness(
         raise ValueError(f"nested: expected 'both' or 'inner', got {nested!r}")
     check_support("thickness", tracer.structure.triangles)
     batch = tracer.structure.ray_batch(origins, directions, t_min, t_max)
+    batch.worlds = tracer._world_ids(worlds, batch.shape)
     rules = Rules(ends == "clip", nested == "inner", cutouts)
     found, overlaps = find_segments(tracer, batch, rules, progress)
     if overlaps and nested == "both":
@@ -204,7 +208,7 @@ class _Worker:
         self.overlaps: set[tuple[int, int]] = set()
         structure: Any = tracer.structure
         self._triangles: Any = structure.triangles
-        #: The triangles of meshes, where a mesh is looked at alone.
+        #: The triangles of meshes as solids: where a mesh is looked at alone.
         self._meshes: Any = self._triangles
         is_placed = self._triangles.instances is not None
         placed = PlacedSolids.of(structure) if is_placed else None
@@ -213,8 +217,11 @@ class _Worker:
         if self._triangles.has_primitives:
             self._meshes = self._triangles.triangles
             self.solids: Solids = solids_with(self._triangles)
+        elif placed is None:
+            self._meshes = self._triangles.solid_parts()[0].triangles
+            self.solids = solids_of(self._meshes)
         else:
-            self.solids = solids_of(self._triangles) if placed is None else placed.solids
+            self.solids = placed.solids
         opacity = cutouts_of(tracer, rules.cutouts, self.solids.is_closed)
         self._on_hit = opacity and opacity.on_hit
 
@@ -232,6 +239,7 @@ class _Worker:
                 t_max=np.inf if self._rules.clips else self._batch.t_max[rows],
                 crossings="surfaces",
                 on_hit=self._on_hit,
+                worlds=None if self._batch.worlds is None else self._batch.worlds[rows],
                 progress=part_of(progress, rows.start, rows.stop - rows.start, total),
             )
             yield rows, hits

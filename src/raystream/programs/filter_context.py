@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.hit_filter import U_AT, V_AT
+from raystream.kernels.search import ROW_NUMBER, ROW_SHIFT
 from raystream.programs.hits import RaysAt
 from raystream.programs.rows import SkipsAt
 
@@ -57,5 +57,5 @@ def rays_of(context):
 @device
 def lane_at(hits, lane):
     """t, u and v of a lane; see `kernels.hit_filter.kept_hits`."""
-    at = hits + (lane << SHIFT_32)
-    return load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)
+    at = hits + (lane << ROW_SHIFT)
+    return load(ROW_NUMBER, at), load(ROW_NUMBER, at + U_AT), load(ROW_NUMBER, at + V_AT)

@@ -93,7 +93,7 @@ class FilterAtHits:
             self._loop = _compile(function, text, reader.classes, form)
             code = self._loop.address_of(_TYPES)
         context = self._context.ctypes.data
-        self.addresses = HitFilter(*np.array((code, context, *skips, 0), np.uint64))
+        self.addresses = HitFilter(*np.array((code, context, *skips, 0, 0), np.uint64))
 
     @property
     def has_raised(self) -> bool:
@@ -170,7 +170,7 @@ def _compile(function: Any, constants: str, classes: dict[str, Any], form: Scene
         "hit_of": form.hit_of,
         "ignore": np.int64(Decision.IGNORE),
         "is_skipped": form.is_skipped,
-        "lane_at": lane_at,
+        "lane_at": form.of_rows(lane_at),
         "load": load,
         "one": np.uint64(1),
         "rays_of": rays_of,

@@ -56,7 +56,9 @@ _PRIMITIVES = SceneForm("# with primitives\n", PrimitivesAt, primitive_hit_of)
 def _float64() -> SceneForm:
     rows = importlib.import_module("raystream.geometry.float64.rows")
     copy = rows.rows_of_float64({}).of
-    return SceneForm("# in float64\n", Float64At, float64_hit_of, of_rows=copy)
+    return SceneForm(
+        "# in float64\n", Float64At, float64_hit_of, skips_in_traversal=True, of_rows=copy
+    )
 
 
 def form_of(store: Store) -> SceneForm:

@@ -90,8 +90,8 @@ class InstancedScene:
         direction is longer than 2**500 or shorter than 2**-500 is INVALID.
 
         ``structure="bvh"`` and ``"brute"`` trace and render such scenes on the CPU, CUDA and, with
-        its machine ``"compute"``, ``device="graphics"``. For view factors and other machines,
-        use `flattened` to make a plain scene.
+        its machine ``"compute"``, ``device="graphics"``. For other machines, use `flattened` to
+        make a plain scene.
 
         Examples
         --------
@@ -129,6 +129,32 @@ class InstancedScene:
             return type(own) is type(others)
         is_same: bool = own.mesh_counts == others.mesh_counts
         return is_same and all(map(operator.is_, own.meshes, others.meshes))
+
+    def in_world(self, world: int) -> Self:
+        """Copy the scene with the instances of one world, and those in all; objects are shared.
+
+        Parameters
+        ----------
+        world : int
+            From 0; or -1 for the instances in all worlds.
+
+        Returns
+        -------
+        Scene
+            Without worlds. Its instance k is the k-th of these: number
+            ``np.flatnonzero((worlds == world) | (worlds == -1))[k]`` of the scene, with
+            ``worlds = scene.placements.worlds``.
+
+        Raises
+        ------
+        ValueError
+            If the scene has no worlds, or not this one.
+        """
+        geometry: Any = self._geometry
+        if geometry.instances is None:
+            raise ValueError("world: the scene has no instances; see Scene.instances")
+        rows = geometry.instances.in_world(operator.index(world))
+        return self._with(_geometry=geometry.moved(geometry.instances.picked(rows)))
 
     def with_transforms(self, transforms: Any) -> Self:
         """Copy the scene with its instances moved; the objects are shared.

@@ -177,6 +177,7 @@ def by_kind(
     nearest: BatchKernels,
     all_hits: tuple[BatchKernel, BatchKernel],
     suited: Suited | None = None,
+    others: Mapping[str, tuple[BatchKernel, BatchKernel]] | None = None,
 ) -> dict[Kind, BatchKernels]:
     """A structure's kernels by the kind of query.
 
@@ -188,9 +189,13 @@ def by_kind(
         By packets: for all hits, and for their numbers.
     suited : callable, optional
         See `BatchKernels`, for these two [default: that of `nearest`].
+    others : mapping of str to tuple of two BatchKernel, optional
+        The same by other kernels, by name.
     """
     suited, few = suited or nearest.suited, nearest.few
-    visited, counted = (BatchKernels({"packet": one}, suited, few) for one in all_hits)
+    named = {"packet": all_hits, **(others or {})}
+    tables = ({name: pair[k] for name, pair in named.items()} for k in range(2))
+    visited, counted = (BatchKernels(table, suited, few) for table in tables)
     return {
         Kind.FIRST_HIT: nearest,
         Kind.ANY_HIT: nearest,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,12 @@ class PointQueries(RayCaster):
     """The queries of a `Tracer` for points; the others take rays."""
 
     def closest_point(
-        self, points: Any, *, max_distance: Any = np.inf, progress: Progress | None = None
+        self,
+        points: Any,
+        *,
+        max_distance: Any = np.inf,
+        worlds: Any = None,
+        progress: Progress | None = None,
     ) -> ClosestPoints:
         """Find the nearest point on the scene's surfaces for each point.
 
@@ -35,6 +41,10 @@ class PointQueries(RayCaster):
             World space.
         max_distance : float or array_like that broadcasts to S
             Greatest distance, inclusive, in world units; at least 0.
+        worlds : array_like that broadcasts to S, int, optional
+            In a scene whose instances are in worlds: the world of each point, as in `first_hit`.
+            The points of each world are answered together, by a tree that is built for the call;
+            for more calls, keep the tracers that `in_world` makes.
         progress : callable, optional
             Called with (points done, points).
 
@@ -51,9 +61,6 @@ class PointQueries(RayCaster):
             If a shape does not fit, `max_distance` is negative or NaN, or the tracer's structure,
             device or machine does not support the query: ``structure="bvh"`` and ``"brute"`` on
             the branching machines of ``device="cpu"`` and ``"cuda"`` do.
-        RaystreamError
-            If the scene has instances in worlds; or, with ``device="cuda"``, any instances,
-            spheres or height fields, or ``precision="float64"``.
         TypeError
             If an array does not hold real numbers.
         MemoryError
@@ -90,16 +97,22 @@ class PointQueries(RayCaster):
         >>> near.distance.tolist(), near.positions.tolist()
         ([2.0, 2.0], [[0.25, 0.25, 0.0], [1.0, 0.0, 0.0]])
         """
-        return self._nearest(points, None, max_distance, progress)
+        return self._nearest(points, None, max_distance, worlds, progress)
 
     def closest_points(
-        self, points: Any, k: int, *, max_distance: Any = np.inf, progress: Progress | None = None
+        self,
+        points: Any,
+        k: int,
+        *,
+        max_distance: Any = np.inf,
+        worlds: Any = None,
+        progress: Progress | None = None,
     ) -> ClosestPoints:
         """Find the `k` nearest triangles to each point, and their nearest points.
 
         Parameters
         ----------
-        points, max_distance, progress
+        points, max_distance, worlds, progress
             See `closest_point`.
         k : int
             Triangles per point, at least 1.
@@ -126,7 +139,7 @@ class PointQueries(RayCaster):
         >>> tracer.closest_points([278.0, 273.0, 280.0], 3).prim_id.tolist()
         [30, 23, 28]
         """
-        return self._nearest(points, check_least("k", k, 1), max_distance, progress)
+        return self._nearest(points, check_least("k", k, 1), max_distance, worlds, progress)
 
     def signed_distance(
         self,
@@ -134,6 +147,7 @@ class PointQueries(RayCaster):
         *,
         max_distance: Any = np.inf,
         method: Literal["rays", "winding"] = "rays",
+        worlds: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.float64]:
         """Find the distance of each point from the surface, negative inside.
@@ -144,6 +158,8 @@ class PointQueries(RayCaster):
             See `closest_point`.
         method : {"rays", "winding"}
             How to tell the inside; see `contains`.
+        worlds : array_like that broadcasts to S, int, optional
+            See `closest_point`.
         progress : callable, optional
             Called with (steps done, steps).
 
@@ -170,13 +186,22 @@ class PointQueries(RayCaster):
         >>> box.signed_distance([[1, 1, 1.5], [1, 1, 5]]).tolist()
         [-0.5, 3.0]
         """
-        test = InsideTest(self, method)  # first: it may refuse
         given = as_vectors("points", points)
+        ids = self._world_ids(worlds, given.shape[:-1])
+        if ids is not None:
+            limits = np.broadcast_to(_limits_of(max_distance, given.shape[:-1]), ids.shape)
+
+            def ask(one: Self, some: Any, rows: Any, report: Any) -> Any:
+                options: Any = {"method": method, "progress": report}
+                return one.signed_distance(some, max_distance=limits[rows], **options)
+
+            return self._in_worlds(ask, given, ids, progress)
+        test = InsideTest(self, method)  # first: it may refuse
         # Of the progress, the distance counts as one part, the inside as four.
         steps = max(given.size // 3, 1)
         of_inside = part_of(progress, steps, 4 * steps, 5 * steps)
         own = part_of(progress, 0, steps, 5 * steps)
-        nearest = self._nearest(points, None, max_distance, own)
+        nearest = self._nearest(points, None, max_distance, None, own)
         inside = test.inside(given, of_inside)
         distance = nearest.distance.reshape(-1)
         distance[inside] *= -1.0
@@ -188,6 +213,7 @@ class PointQueries(RayCaster):
         points: Any,
         *,
         method: Literal["rays", "winding"] = "rays",
+        worlds: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.bool_]:
         """Find which points lie inside the surface.
@@ -201,6 +227,8 @@ class PointQueries(RayCaster):
             they disagree, the winding number decides, and where solids may overlap, the sides of
             the crossings. Or use winding numbers for all points, which also suits open surfaces:
             inside is where they are above 1/2 or below -1/2.
+        worlds : array_like that broadcasts to S, int, optional
+            See `closest_point`.
         progress : callable, optional
             Called with (steps done, steps).
 
@@ -215,8 +243,6 @@ class PointQueries(RayCaster):
             If a shape does not fit; if `method` is unknown; or if it is ``"rays"``, and the scene's
             surface is not closed, with the open meshes and the first of their open edges: then the
             parity of crossings means nothing. A height field is an open surface.
-        RaystreamError
-            If the scene has instances in worlds.
         TypeError
             If the points are not real numbers.
 
@@ -244,12 +270,24 @@ class PointQueries(RayCaster):
         >>> spheres.contains([[0.0, 0.0, 0.0]], method="winding").shape
         (1,)
         """
-        test = InsideTest(self, method)
         given = as_vectors("points", points)
+        ids = self._world_ids(worlds, given.shape[:-1])
+        if ids is not None:
+
+            def ask(one: Self, some: Any, _rows: Any, report: Any) -> Any:
+                return one.contains(some, method=method, progress=report)
+
+            return self._in_worlds(ask, given, ids, progress).astype(np.bool_)
+        test = InsideTest(self, method)
         return test.inside(given, progress).reshape(given.shape[:-1])
 
     def winding_number(
-        self, points: Any, *, accuracy: float = 0.0, progress: Progress | None = None
+        self,
+        points: Any,
+        *,
+        accuracy: float = 0.0,
+        worlds: Any = None,
+        progress: Progress | None = None,
     ) -> NDArray[np.float64]:
         """Compute how often the surface surrounds each point.
 
@@ -260,6 +298,8 @@ class PointQueries(RayCaster):
         accuracy : float
             Greatest error, at least 0. If it is above 0, distant groups of triangles are summed as
             one where that is accurate enough.
+        worlds : array_like that broadcasts to S, int, optional
+            See `closest_point`.
         progress : callable, optional
             Called with (points done, points).
 
@@ -276,8 +316,6 @@ class PointQueries(RayCaster):
         ValueError, TypeError
             If the points are not real numbers of shape S + (3,), or `accuracy` is not a number of
             at least 0.
-        RaystreamError
-            If the scene has instances in worlds.
 
         Notes
         -----
@@ -309,17 +347,70 @@ class PointQueries(RayCaster):
         given, most = as_vectors("points", points), float(accuracy)
         if not most >= 0.0:
             raise ValueError(f"accuracy: expected a number >= 0, got {accuracy}")
+        ids = self._world_ids(worlds, given.shape[:-1])
+        if ids is not None:
+
+            def ask(one: Self, some: Any, _rows: Any, report: Any) -> Any:
+                return one.winding_number(some, accuracy=most, progress=report)
+
+            return self._in_worlds(ask, given, ids, progress)
         numbers = scene_winding(self.structure, given.reshape(-1, 3), progress, most)
         return numbers.reshape(given.shape[:-1])
 
+    def _in_worlds(
+        self,
+        ask: Callable[[Self, Any, Any, Any], Any],
+        points: NDArray[Any],
+        ids: NDArray[np.int32],
+        progress: Progress | None,
+    ) -> NDArray[np.float64]:
+        """Answers of shape S for points of shape S + (3,), world by world.
+
+        ``ask(tracer, points, rows, progress)`` answers those of one world, in these rows of all.
+        """
+        flat, answers = points.reshape(-1, 3), np.empty(len(ids))
+        for rows, one, report in self._by_world(ids, progress):
+            answers[rows] = ask(one, flat[rows], rows, report)
+        return answers.reshape(points.shape[:-1])
+
+    def _find_nearest(
+        self,
+        batch: PointBatch,
+        out: NearestArrays,
+        ids: NDArray[np.int32] | None,
+        progress: Progress | None,
+    ) -> None:
+        """Find the triangles nearest to points, which may be in worlds."""
+        if ids is None:
+            self._backend.find_nearest(batch, out, progress)
+            return
+        held: Any = self.structure.triangles
+        for rows, one, report in self._by_world(ids, progress):
+            part = NearestArrays.empty(len(rows), batch.capacity)
+            limits = batch.limits if len(batch.limits) == 1 else batch.limits[rows]
+            one._find_nearest(
+                PointBatch(batch.points[rows], limits, batch.capacity), part, None, report
+            )
+            # Instances count from 0 in each world: -1 stays the last one, which is none.
+            instances = np.append(held.instances.in_world(int(ids[rows[0]])), -1)
+            prim_id, instance_id = one.structure.triangles.split_ids(part.prim_id)
+            part.prim_id[:] = held.numbers_of(prim_id, instances[instance_id])
+            for whole, own in zip(out, part, strict=True):
+                whole.reshape(len(ids), -1)[rows] = own.reshape(len(rows), -1)
+
     def _nearest(
-        self, points: Any, k: int | None, max_distance: Any, progress: Progress | None
+        self,
+        points: Any,
+        k: int | None,
+        max_distance: Any,
+        worlds: Any,
+        progress: Progress | None,
     ) -> ClosestPoints:
         """The nearest triangle of each point, or the nearest `k` in a further dimension."""
         self._check_points()
         given = as_vectors("points", points)
         shape = given.shape[:-1]
-        limits = _limits_of(max_distance, shape)
+        ids, limits = self._world_ids(worlds, shape), _limits_of(max_distance, shape)
         local = np.ascontiguousarray(given.reshape(-1, 3), np.float64)
         count, capacity = len(local), 1 if k is None else k
         rows = count * capacity
@@ -327,7 +418,7 @@ class PointQueries(RayCaster):
             needed, what = answer_bytes(count, capacity), f"{rows:,} nearest triangles would"
             check_memory(needed, what, "give fewer points or a smaller k")
         out = NearestArrays.empty(count, capacity)
-        self._backend.find_nearest(PointBatch(local, limits, capacity), out, progress)
+        self._find_nearest(PointBatch(local, limits, capacity), out, ids, progress)
         wide = shape if k is None else (*shape, k)
         prim_id, instance_id = self.structure.triangles.split_ids(out.prim_id.reshape(wide))
         return ClosestPoints(

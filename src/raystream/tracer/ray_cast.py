@@ -12,10 +12,10 @@ from raystream.core.ray_hit import RayHit
 from raystream.core.rays import RayStatus, as_number, as_vector
 from raystream.scene.scene import Scene
 from raystream.structures import Structure
-from raystream.tracer.traced_scene import TracedScene
+from raystream.tracer.worlds import WorldTracer
 
 
-class RayCaster(TracedScene):
+class RayCaster(WorldTracer):
     """The query of a `Tracer` for one ray; the others take arrays."""
 
     _cast: Callable[..., Any] | None
@@ -37,6 +37,7 @@ class RayCaster(TracedScene):
         t_min: float = 0.0,
         t_max: float = math.inf,
         mask: int | None = None,
+        world: int | None = None,
     ) -> RayHit:
         """Find the nearest triangle along one ray, in a few microseconds.
 
@@ -49,6 +50,8 @@ class RayCaster(TracedScene):
             Closed search interval, in direction lengths.
         mask : int, optional
             See `Tracer.first_hit`; with it, a cast takes as long as that for one ray.
+        world : int, optional
+            In a scene whose instances are in worlds, the ray's; it then takes as long, too.
 
         Returns
         -------
@@ -83,8 +86,9 @@ class RayCaster(TracedScene):
             t_min = as_number("t_min", t_min)
         if type(t_max) is not float:
             t_max = as_number("t_max", t_max)
-        if self._cast is None or mask is not None:
-            given = {} if mask is None else {"mask": mask}  # a subclass may not take it
+        if self._cast is None or mask is not None or world is not None:
+            given = {"mask": mask, "worlds": world}
+            given = {name: one for name, one in given.items() if one is not None}  # for subclasses
             hits = self.first_hit(origin, direction, t_min=t_min, t_max=t_max, **given)
             columns = hits.t.item(), hits.u.item(), hits.v.item(), hits.prim_id.item()
             instance_id, status = hits.instance_id.item(), hits.status.item()
@@ -104,6 +108,7 @@ class RayCaster(TracedScene):
         *,
         t_min: Any = 0.0,
         t_max: Any = math.inf,
+        worlds: Any = None,
         mask: Any = None,
     ) -> Hits:
         """See `Tracer.first_hit`."""

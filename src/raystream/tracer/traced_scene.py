@@ -414,7 +414,7 @@ class TracedScene:
         if mask is not None:
             self._check_for_masks()
         if self._backend.capabilities.device_arrays and not self._counts:
-            arrays = RayArrays(origins, directions, t_min, t_max, worlds)
+            arrays = RayArrays(origins, directions, t_min, t_max, worlds, mask)
             if arrays.is_on_gpu():
                 if near is not None:
                     raise ValueError("near: expected None for rays on a GPU")

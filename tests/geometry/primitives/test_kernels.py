@@ -13,6 +13,7 @@ import raystream as rs
 from conftest import assert_same_bits
 from field_rays import PLACES, mesh_of, random_heights, rays_at
 from meshes import soup
+from raystream.geometry.primitives import batches
 from raystream.structures.batch_kernels import BatchKernel
 from sphere_rays import SETTINGS, some_rays
 
@@ -66,14 +67,29 @@ def test_a_million_rays_at_spheres(name, kernel) -> None:
         assert_like_brute_force(scene, rays, kernel)
 
 
+@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("name", PLACES)
-def test_height_fields(name) -> None:
+def test_height_fields(name, kernel) -> None:
     shape, missing, place = PLACES[name]
     rng = np.random.default_rng(2)
     heights = random_heights(rng, *shape, missing)
     rays = rays_at(rng, mesh_of(heights, **place), COUNT)
     scene = rs.Scene.height_field(heights, **place)
-    assert assert_like_brute_force(scene, rays, "packet") > 50
+    assert assert_like_brute_force(scene, rays, kernel) > 50
+
+
+def test_a_height_field_in_flight_among_others(monkeypatch) -> None:
+    """Spheres and a mesh are searched after it."""
+    monkeypatch.setattr(batches, "_LEAST_CELLS", 1)
+    rng = np.random.default_rng(5)
+    scene = rs.Scene.combine(
+        [
+            rs.Scene.height_field(rng.random((75, 110)), spacing=0.02),
+            rs.Scene.spheres(rng.random((30, 3)) * 2, 0.1),
+            rs.Scene.from_arrays(*soup(150, 7)),
+        ]
+    )
+    assert assert_like_brute_force(scene, picture(rng, 0.0, (37, 53)), "wavefront") > 100
 
 
 def mixed(rng, offset: float = 0.0) -> rs.Scene:
@@ -163,6 +179,16 @@ def test_kernels_suit_the_rays(monkeypatch, query, count, kernel) -> None:
     rays = {"origins": [0.0, 0.0, 4.0], "directions": directions}
     assert kernels_called(monkeypatch, tracer, query, rays) == ["packet"]
     anywhere = {"origins": rng.uniform(-1, 1, (3000, 3)), "directions": rng.normal(size=(3000, 3))}
-    is_nearest = query in ("first_hit", "any_hit")
-    expected = [kernel] if is_nearest else ["single"]
-    assert kernels_called(monkeypatch, tracer, query, anywhere) == expected
+    assert kernels_called(monkeypatch, tracer, query, anywhere) == [kernel]
+
+
+@pytest.mark.parametrize(("side", "kernel"), [(100, "single"), (750, "wavefront")])
+def test_kernels_suit_height_fields(monkeypatch, side, kernel) -> None:
+    rng = np.random.default_rng(4)
+    tracer = rs.Tracer(rs.Scene.height_field(rng.random((side, side))))
+    anywhere = {
+        "origins": rng.uniform(0, side - 1, (3000, 3)),
+        "directions": rng.normal(size=(3000, 3)),
+    }
+    for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
+        assert kernels_called(monkeypatch, tracer, query, anywhere) == [kernel]

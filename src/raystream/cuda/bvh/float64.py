@@ -21,7 +21,7 @@ stack_bytes = LANES_BYTES + binary.STACK_BYTES
 
 @device
 def _enter(box, line, _search, near, far):
-    ray, _ = line
+    ray, _, _ = line
     low_x, high_x, low_y, high_y, low_z, high_z = box
     if ray.inv[0] < ZERO_F64:
         low_x, high_x = high_x, low_x

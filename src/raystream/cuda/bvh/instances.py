@@ -22,6 +22,7 @@ from raystream.jit.constants import NULL, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import store
 from raystream.jit.views import view
+from raystream.kernels.hit_filter import may_enter
 from raystream.kernels.ray import Ray, WorldRay, prepare_ray
 from raystream.kernels.ray_source import local_ray
 from raystream.kernels.search import enter_instance, is_full
@@ -95,7 +96,8 @@ def _at_leaf(place, ray, search, link, stack, top):
         whole = WorldRay(world.origin, world.direction, world.t_min, world.t_max)
         one = local_ray(whole, object_, instance)
         inner = enter_instance(search, one, instance.first_id)
-        if inner.t_min <= inner.t_far and object_.nodes != NULL:
+        is_held = object_.nodes != NULL and may_enter(search.filter, instance.mask)
+        if is_held and inner.t_min <= inner.t_far:
             store(top, _LEAVE)
             ray = prepare_ray(one.origin, one.direction, object_.max_coordinate)
             place = _Place(object_.nodes, object_.leaves, True, place.outside)

@@ -94,12 +94,18 @@ def _box(x, y, z):
 
 
 @device
-def _node_boxes(field, level, column, row):
+def group_address(field, level, column, row):
+    """Where the heights of a group of four nodes of a `LevelRecord` are."""
+    return field.ranges + ((level.first + row * level.columns + column) << _FIVE)
+
+
+@device
+def node_boxes(field, level, column, row):
     """The boxes of a group of four nodes of a `LevelRecord`, see `_box`."""
     left, top = (column << _ONE) * level.size, (row << _ONE) * level.size
     x = _ends(field.x, left, level.size, field.columns, _SECOND_COLUMN)
     y = _ends(field.y, top, level.size, field.rows, _SECOND_ROW)
-    at = field.ranges + ((level.first + row * level.columns + column) << _FIVE)
+    at = group_address(field, level, column, row)
     return _box(x, y, (load(f32x4, at), load(f32x4, at + np.uint64(16))))
 
 
@@ -164,7 +170,7 @@ def field_walk(
                             return found
                 continue
             level -= _ONE
-            boxes = _node_boxes(field, LevelRecord(field.levels, level), column, row)
+            boxes = node_boxes(field, LevelRecord(field.levels, level), column, row)
             entered = enter(boxes, key, query, found, free)
             for k in range(_FOUR):  # the last one is visited first
                 child = (_THREE - k) ^ turn
@@ -199,7 +205,7 @@ def _enter(boxes, t_in, query, search, keys):  # noqa: ARG001
 
 @device
 def _search_cells(field, place, t_in, query, search, block):  # noqa: ARG001
-    search = _search_row(field, place, *query, search, block)
+    search = search_row(field, place, *query, search, block)
     return search, is_full(search)
 
 
@@ -235,7 +241,7 @@ def traverse_all_cells(field, ray, line, search, stack):
     for row in range(field.rows):
         column = _NONE
         while column < field.columns:
-            search = _search_row(field, (row, column), ray, line, search, stack + _STACK)
+            search = search_row(field, (row, column), ray, line, search, stack + _STACK)
             if is_full(search):
                 return search
             column += _CELLS
@@ -295,7 +301,7 @@ def _write_triangles(field, cells, half, row, column, block):
 
 
 @device
-def _search_row(field, place, ray, line, search, block):
+def search_row(field, place, ray, line, search, block):
     """Test four cells of a row; `place` is their row and first column."""
     # Step 1: the cells' boxes, where all four corners are known.
     row, column = place

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from raystream.core.query import Kind
 from raystream.geometry.float64.group_rays import Float64Packets
 from raystream.geometry.float64.groups import (
     BLOCK_PACKETS,
     WORKING_BYTES,
-    count_in_groups,
     trace_groups,
+    trace_rows,
 )
 from raystream.geometry.float64.packets import FLOAT64_ALL, trace_packets
 from raystream.kernels.aligned import array_address
@@ -26,7 +25,7 @@ from raystream.structures.batch_kernels import (
 )
 from raystream.structures.bvh.batches import nearest_kernel
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.packets.multi_hit import all_hits_kernels, count_all
+from raystream.structures.bvh.packets.multi_hit import all_hits_kernels, count_all, visit_all
 from raystream.structures.bvh.packets.queries import TREES
 
 if TYPE_CHECKING:
@@ -68,13 +67,13 @@ _KERNELS = {
 
 _NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
 _ALL_HITS = all_hits_kernels(TREES, FLOAT64_ALL, _source)
-_COUNTED = {
-    "packet": _ALL_HITS[1],
-    "groups": BatchKernel(partial(count_all, count_in_groups, _source), _GROUPS_SIZE),
-}
+_BY_GROUPS = (
+    BatchKernel(
+        partial(visit_all, trace_rows, _source, by_ray=True),
+        _GROUPS_SIZE._replace(joins_chunks=False),
+    ),
+    BatchKernel(partial(count_all, trace_rows, _source), _GROUPS_SIZE),
+)
 
 #: The kernels by the kind of query, for trees that are not empty.
-BATCH_KERNELS = {
-    **by_kind(_NEAREST, _ALL_HITS),
-    Kind.COUNT_HITS: BatchKernels(_COUNTED, _suited, _FEW),
-}
+BATCH_KERNELS = by_kind(_NEAREST, _ALL_HITS, others={"groups": _BY_GROUPS})

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.geometry.float64.filters import filter_of_lane, kept_span
 from raystream.geometry.float64.group_rays import Float64Group, Float64Lanes, nearest_of
 from raystream.geometry.float64.search import exists, offer, within
 from raystream.jit.constants import INF_F32, INF_F64, ZERO_U64
@@ -84,6 +85,10 @@ def offer_lanes(leaf, packet, g, hits, triangle, prim_id):
 def offer_one(leaf, packet, g, k, line, span, triangle, prim_id):
     """Keep a hit of ray k that is in doubt; see `leaf.Kind`."""
     lanes, limits = Float64Lanes(leaf.rays, g), _LimitLanes(_limits_of(leaf, packet, g)).limit
+    own = filter_of_lane(leaf.kind.filter, lanes, g, k)
+    is_kept, span = kept_span(own, line, span, triangle, prim_id, False)
+    if not is_kept:
+        return
     if leaf.kind.wants_any:
         if exists(line, span, triangle, False):
             lanes.prim_id[k], lanes.far[k], limits[k] = prim_id, -INF_F64, -INF_F32

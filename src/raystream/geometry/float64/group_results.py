@@ -47,7 +47,7 @@ def _trace_one(leaf, packet, g, k, frame, tree):
     lanes.far[k] = lanes.t_max[k]
     line, half, rest = exact_ray(lanes, k), lanes.half[k], lanes.rest[k]
     ray, search = ray_of_line(line, half, rest, VALID, frame), search_lane(leaf, packet, g, k)
-    _walk(tree, (ray, leaf.spans), search, scratch(STACK_BYTES), False)
+    _walk(tree, (ray, leaf.spans, None), search, scratch(STACK_BYTES), False)
 
 
 @device

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from raystream.geometry.float64.block import BLOCK, PRIM_IDS, leaf_end, load_edges
-from raystream.geometry.float64.group_rays import GROUP_BYTES, load_rays
+from raystream.geometry.float64.group_rays import GROUP_BYTES, Float64Lanes, load_rays
 from raystream.geometry.float64.group_results import store_nearest, trace_alone
 from raystream.geometry.float64.leaf import (
     SPAN_BYTES,
@@ -22,13 +22,29 @@ from raystream.geometry.float64.leaf import (
     test_group,
     test_one,
 )
-from raystream.jit.constants import BYTES_64, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
+from raystream.geometry.float64.ray import Lengths
+from raystream.geometry.float64.rows import rows_of_float64, tell_float64_row
+from raystream.jit.constants import BYTES_64, NULL, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import f64x4, load, scratch, store
 from raystream.structures.bvh.leaf_kinds import CountsLanes, no_prefetch
 from raystream.structures.bvh.node_layout import LANE, leaf_address
-from raystream.structures.bvh.packets.hits import COLLECTOR_BYTES, Collector
-from raystream.structures.bvh.packets.rays import GROUP, GROUPS, PACKET_RAYS, GroupLanes, group_rows
+from raystream.structures.bvh.packets.filters import packet_filter
+from raystream.structures.bvh.packets.hits import (
+    COLLECTOR_BYTES,
+    Buffers,
+    Collector,
+    has_room,
+    sort_by_ray,
+)
+from raystream.structures.bvh.packets.rays import (
+    GROUP,
+    GROUPS,
+    PACKET_RAYS,
+    GroupLanes,
+    GroupPlaces,
+    group_rows,
+)
 from raystream.structures.bvh.ray_groups.leaf import SMALL_BYTES, Small
 from raystream.structures.bvh.ray_groups.queries import group_kernel
 from raystream.structures.bvh.ray_groups.rays import (
@@ -38,6 +54,7 @@ from raystream.structures.bvh.ray_groups.rays import (
     LAST_LANE,
     LISTS_AT,
     MEMORY_BYTES,
+    PLACES_AT,
     copy_limits,
     load_block,
 )
@@ -47,13 +64,18 @@ from raystream.structures.bvh.walks.groups import STREAM_STACK_BYTES, trace_bloc
 BLOCK_RAYS = 4096
 BLOCK_PACKETS = BLOCK_RAYS // PACKET_RAYS
 
+_RAY_GROUPS = np.uint64(BLOCK_RAYS // 16)
 _GROUPS_AT = np.uint64(-(-MEMORY_BYTES // 64) * 64)
+
+#: Where a block's hits are collected, and the ends of its rays' rows: behind the rays.
+_COLLECTOR_AT = _GROUPS_AT + _RAY_GROUPS * GROUP_BYTES
+_ENDS_AT = _COLLECTOR_AT + np.uint64(-(-COLLECTOR_BYTES // 64) * 64)
 
 #: A group's limits: the ends of its rays' intervals.
 _LIMITS_AT = np.uint64(GROUP.fields["t"][1])  # type: ignore[index]
 
 #: Bytes of memory of a call, of which most are never touched.
-WORKING_BYTES = int(_GROUPS_AT) + BLOCK_RAYS // 16 * int(GROUP_BYTES) + 64
+WORKING_BYTES = int(_ENDS_AT) + 8 * BLOCK_RAYS + 64
 
 _BLOCK_LANES, _ALL = np.uint64(4), np.uint64(0xFFFF)
 
@@ -125,9 +147,14 @@ def _visit_leaf(leaf, tree, child, rays, memory, small):
 # The kernels
 
 
+_sort_by_ray = rows_of_float64({}).of(sort_by_ray)
+
+
 @device
 def _load(memory, source, first, last, scene, wanted):
-    count, ray_count, group_count = load_block(memory, source, first, last, False)
+    count, ray_count, group_count = load_block(
+        memory, source, first, last, wanted.filter is not None
+    )
     _load_rays(memory, source, first, last)
     return count, ray_count, group_count
 
@@ -139,33 +166,99 @@ def _leaf(kind, memory):
 
 
 @device
-def _nearest_leaf(wanted, memory):
-    return _leaf(nearest_kind(wanted.wants_any), memory)
+def _filter(wanted, memory):
+    places = GroupPlaces(memory + PLACES_AT, ZERO_U64, ZERO_U64)
+    return packet_filter(wanted.filter, places, ZERO_U64)
 
 
 @device
-def _counting_leaf(wanted, memory):
-    # Of a collector, counting needs nothing else.
-    hits = Collector(scratch(COLLECTOR_BYTES))
-    hits.is_counting = ONE_U64
-    return _leaf(collecting_kind(wanted.surfaces, hits), memory)
+def _nearest_leaf(wanted, memory):
+    return _leaf(nearest_kind(wanted.wants_any, _filter(wanted, memory)), memory)
+
+
+@device
+def _rows_leaf(wanted, memory):
+    hits = Collector(memory + _COLLECTOR_AT)
+    return _leaf(collecting_kind(wanted.surfaces, _filter(wanted, memory), hits), memory)
+
+
+@device
+def _nothing(memory, wanted):
+    """The `begin` of nearest or any hits."""
+
+
+@device
+def _all_fit(memory, source, first, last, wanted):
+    return True
+
+
+@device
+def _begin_rows(memory, wanted):
+    """Begin to count or collect the hits of a block."""
+    hits = Collector(memory + _COLLECTOR_AT)
+    hits.is_counting = np.uint64(wanted.counts != NULL)
+    if wanted.counts == NULL:
+        hits.buffers, hits.capacity = wanted.buffers, Buffers(wanted.buffers).capacity
+        hits.in_world, hits.count = ZERO_U64, ZERO_U64
+        for g in range(_RAY_GROUPS):
+            hits.first_rays[g] = np.int32(g << LANE_SHIFT)
 
 
 @device
 def _store_counts(leaf, memory, g, first, count, tree, wanted):
+    if wanted.counts == NULL:
+        return
     found = CountsLanes(memory, g).count
     for k in range(count):
         store(wanted.counts + (first + k) * BYTES_64, np.int64(found[k]))
 
 
-def _kernel(leaf_of: Callable[..., Any], store_group: Callable[..., Any]) -> Any:
-    """Make a kernel of functions for leaves, and for results of groups.
+@device
+def _store_rows(memory, source, first, last, wanted):
+    """Sort a block's hits by ray; write its rays and the ends of their rows."""
+    if wanted.counts != NULL:
+        return True
+    hits, to, ends = Collector(memory + _COLLECTOR_AT), Buffers(wanted.buffers), memory + _ENDS_AT
+    row, g, number = to.used, ZERO_U64, to.ray_count
+    if not has_room(hits) or row + hits.count > to.capacity:
+        return False
+    to.used = _sort_by_ray(to, hits.count, ends, np.uint64(BLOCK_RAYS), row, True)
+    for packet in range(first, last):
+        for group in range(GROUPS):
+            ray, length = group_rows(source.order, packet, group)
+            if length == ZERO_U64:
+                continue
+            lanes = Float64Lanes(memory + _GROUPS_AT, g)
+            for k in range(length):
+                row_end = load(np.uint64, ends + (((g << LANE_SHIFT) | k) << SHIFT_64))
+                lengths = Lengths(lanes.half[k], lanes.rest[k])
+                while row != row_end:
+                    tell_float64_row(to.rows.t, row, lengths)
+                    row += ONE_U64
+                store(to.ray_ids + (number << SHIFT_64), np.int64(ray + k))
+                number += ONE_U64
+                store(to.splits + (number << SHIFT_64), np.int64(row_end))
+            g += ONE_U64
+    to.ray_count = number
+    return True
 
-    ``leaf_of(wanted, memory)``; ``store_group(leaf, memory, g, first, count, tree, wanted)``
+
+def _kernel(
+    leaf_of: Callable[..., Any],
+    store_group: Callable[..., Any],
+    begin: Callable[..., Any] = _nothing,
+    end: Callable[..., Any] = _all_fit,
+) -> Any:
+    """Make a kernel of functions for leaves, and for results of groups and of a block.
+
+    ``leaf_of(wanted, memory)``; ``store_group(leaf, memory, g, first, count, tree, wanted)``;
+    ``begin(memory, wanted)``; ``end(memory, source, first, last, wanted)``, which returns whether
+    results fit.
     """
 
     @device
     def trace(memory, count, ray_count, scene, source, wanted):
+        begin(memory, wanted)
         stack, small, groups = scratch(STREAM_STACK_BYTES), scratch(SMALL_BYTES), memory + LISTS_AT
         leaf = leaf_of(wanted, memory)
         trace_block(memory, groups, count, ray_count, scene, stack, Small(small), leaf)
@@ -180,11 +273,13 @@ def _kernel(leaf_of: Callable[..., Any], store_group: Callable[..., Any]) -> Any
                     trace_alone(leaf, memory, g, length, source.frame, scene)
                     store_group(leaf, memory, g, ray, length, scene, wanted)
                     g += ONE_U64
+        return end(memory, source, first, last, wanted)
 
     return group_kernel(_load, trace, finish, BLOCK_PACKETS)
 
 
 #: Kernels for a `Float64Packets`, in `WORKING_BYTES` bytes: the nearest or any hits for a
-#: `packets.queries.NearestWanted`, the numbers of hits for a `packets.multi_hit.RowsWanted`.
+#: `packets.queries.NearestWanted`; all hits, or their numbers, for a
+#: `packets.multi_hit.RowsWanted`.
 trace_groups = _kernel(_nearest_leaf, store_nearest)
-count_in_groups = _kernel(_counting_leaf, _store_counts)
+trace_rows = _kernel(_rows_leaf, _store_counts, _begin_rows, _store_rows)

@@ -11,8 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.geometry.float64.best import certain_hits, offer_lanes, offer_one
-from raystream.geometry.float64.block import block_test, load_corners, span_of, test_lanes
+from raystream.geometry.float64.block import (
+    PossibleHits,
+    block_test,
+    load_corners,
+    span_of,
+    test_lanes,
+)
 from raystream.geometry.float64.exact import estimate, solve_exactly
+from raystream.geometry.float64.filters import filter_of_lane, kept_span, possible_lanes
 from raystream.geometry.float64.group_rays import Float64Group, Float64Lanes, exact_ray
 from raystream.geometry.float64.ray import Lengths, reported
 from raystream.geometry.float64.rows import collect_row, collect_rows
@@ -68,10 +75,14 @@ def test_group(leaf, packet, g, allowed, triangle, edges, prim_id):
     hits = test_lanes(edges, origin, direction, group.t_min, group.far, allowed)
     if not any_lane(hits.found):
         return ZERO_U64
+    found, has_function = possible_lanes(leaf.kind.filter, hits.found, prim_id, g)
+    hits = PossibleHits(found, hits.sure, hits.low, hits.high)
     # Step 1: what needs no exact arithmetic, 16 at a time.
-    shorter, settled = leaf.kind.keep_lanes(leaf, packet, g, hits, triangle, prim_id)
-    # Step 2: the others one by one. They are few: rays near edges, at equal distances, or behind
-    # the hit kept so far by less than its interval.
+    shorter, settled = ZERO_U64, ZERO_U64
+    if not has_function:
+        shorter, settled = leaf.kind.keep_lanes(leaf, packet, g, hits, triangle, prim_id)
+    # Step 2: the others one by one. Without a function they are few: rays near edges, at equal
+    # distances, or behind the hit kept so far by less than its interval.
     sure, doubtful = mask_bits(hits.sure), mask_bits(hits.found) & ~settled
     if doubtful != ZERO_U64:
         store(leaf.spans, hits.low)
@@ -158,6 +169,10 @@ def _take_lanes(leaf, packet, g, hits, triangle, prim_id):
 def _take_hit(leaf, packet, g, k, line, span, triangle, prim_id):
     """Count or collect the hit of a ray with a triangle, if there is one."""
     collector, surfaces = leaf.kind.collector, leaf.kind.surfaces
+    own = filter_of_lane(leaf.kind.filter, Float64Lanes(leaf.rays, g), g, k)
+    is_kept, span = kept_span(own, line, span, triangle, prim_id, surfaces)
+    if not is_kept:
+        return
     if collector.is_counting != ZERO_U64:
         counts = CountsLanes(packet, g).count
         counts[k] += np.int32(exists(line, span, triangle, surfaces))
@@ -170,12 +185,12 @@ def _take_hit(leaf, packet, g, k, line, span, triangle, prim_id):
 
 
 @device
-def nearest_kind(wants_any):
+def nearest_kind(wants_any, filter_):
     """The nearest, or any, hits are kept."""
-    return Kind(offer_lanes, offer_one, False, wants_any, None, None)
+    return Kind(offer_lanes, offer_one, False, wants_any, filter_, None)
 
 
 @device
-def collecting_kind(surfaces, collector):
+def collecting_kind(surfaces, filter_, collector):
     """All hits are collected; or counted, see `leaf_kinds.Counts`."""
-    return Kind(_take_lanes, _take_hit, surfaces, False, None, collector)
+    return Kind(_take_lanes, _take_hit, surfaces, False, filter_, collector)

@@ -25,11 +25,18 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import count_trailing_zeros, f64x4, lanes_from_bits, load, mask16, popcount
 from raystream.structures.bvh.leaf_kinds import no_prefetch
 from raystream.structures.bvh.node_layout import leaf_address
+from raystream.structures.bvh.packets.filters import packet_filter
 from raystream.structures.bvh.packets.hits import Collector
 from raystream.structures.bvh.packets.leaf import entering_rays
 from raystream.structures.bvh.packets.multi_hit import ROWS, row_transform, start_rows
 from raystream.structures.bvh.packets.queries import TREES, PacketAnswer, packet_kernel
-from raystream.structures.bvh.packets.rays import GROUP, GROUPS, GroupLanes, group_rows
+from raystream.structures.bvh.packets.rays import (
+    GROUP,
+    GROUPS,
+    GroupLanes,
+    group_places,
+    group_rows,
+)
 
 #: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
 #: against one triangle.
@@ -120,14 +127,19 @@ def _load_rays(leaf, packet, number, slow_groups, source):
 
 
 @device
+def _filter(number, source, wanted):
+    return packet_filter(wanted.filter, group_places(source.order, number), ZERO_U64)
+
+
+@device
 def _begin_nearest(packet, number, slow_groups, source, wanted, state):
-    leaf = _leaf(nearest_kind(wanted.wants_any), state)
+    leaf = _leaf(nearest_kind(wanted.wants_any, _filter(number, source, wanted)), state)
     return _load_rays(leaf, packet, number, slow_groups, source)
 
 
 @device
 def _store_nearest(packet, number, slow_groups, source, scene, wanted, state):
-    leaf = _leaf(nearest_kind(wanted.wants_any), state)
+    leaf = _leaf(nearest_kind(wanted.wants_any, _filter(number, source, wanted)), state)
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
         if count != ZERO_U64:
@@ -139,13 +151,15 @@ def _store_nearest(packet, number, slow_groups, source, scene, wanted, state):
 @device
 def _begin_rows(packet, number, slow_groups, source, wanted, state):
     hits = start_rows(number, slow_groups, source, wanted, state)
-    leaf = _leaf(collecting_kind(wanted.surfaces, hits), state)
+    mine = _filter(number, source, wanted)
+    leaf = _leaf(collecting_kind(wanted.surfaces, mine, hits), state)
     return _load_rays(leaf, packet, number, slow_groups, source)
 
 
 @device
 def _store_rows(packet, number, slow_groups, source, scene, wanted, state):
-    leaf = _leaf(collecting_kind(wanted.surfaces, Collector(state)), state)
+    mine = _filter(number, source, wanted)
+    leaf = _leaf(collecting_kind(wanted.surfaces, mine, Collector(state)), state)
     for g in range(GROUPS):
         _, count = group_rows(source.order, number, g)
         trace_alone(leaf, packet, g, count, source.frame, scene)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from raystream.geometry.float64.exact import solve_exactly
+from raystream.geometry.float64.filters import Float64Filter, filter_of, kept_span
 from raystream.geometry.float64.ray import prepare_float64, reported
 from raystream.geometry.float64.rows import offer_row, put_row, sort_rows, tell_float64_row
 from raystream.geometry.float64.search import exists, no_hit, offer
@@ -17,6 +18,7 @@ from raystream.jit.cpu import device
 from raystream.kernels.queries import RaySearches, note_status
 from raystream.kernels.ray_source import loader, read_float64_ray
 from raystream.kernels.search import begin_search, is_full, wants_any
+from raystream.kernels.tally import tally_of
 
 _MISS = np.int32(-1)
 
@@ -50,15 +52,44 @@ def write_nearest(to, i, best, line, lengths):
     put_row(to, i, reported(t, lengths), u, v, best.prim_id)
 
 
+class FilteredSearch(NamedTuple):
+    """A ray's search so far, and its filter.
+
+    Attributes
+    ----------
+    found : Nearest or kernels.search.Search
+    filter : Float64Filter or None
+    t_far : float64
+        Hits beyond are not wanted.
+    """
+
+    found: Any
+    filter: Float64Filter | None
+    t_far: np.float64
+
+
 @device
-def _take_nearest(best, line, span, triangle, prim_id):
-    return offer(line, best, span, triangle, prim_id), False
+def _with_filter(found, filter_):
+    return FilteredSearch(found, filter_, found.t_far)
+
+
+@device
+def _take_nearest(search, line, span, triangle, prim_id):
+    best, own = search.found, search.filter
+    is_kept, span = kept_span(own, line, span, triangle, prim_id, False)
+    if is_kept:
+        best = offer(line, best, span, triangle, prim_id)
+    return _with_filter(best, own), False
 
 
 @device
 def _take_hit(search, line, span, triangle, prim_id):
-    search = _offer_to(search.goal.hits, search, line, span, triangle, prim_id)
-    return search, is_full(search)
+    found, own = search.found, search.filter
+    goal = found.goal
+    is_kept, span = kept_span(own, line, span, triangle, prim_id, goal.surfaces)
+    if is_kept:
+        found = _offer_to(goal.hits, found, line, span, triangle, prim_id)
+    return _with_filter(found, own), is_full(found)
 
 
 @device
@@ -80,16 +111,20 @@ def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
     @device
     def nearest(i, scene, hits, memory):
         ray, stack = _load_ray(i, scene), memory + np.uint64(LANES_BYTES)
-        best = no_hit(ray.line.t_max)
-        best = walk_nearest(scene.arrays, (ray, memory), best, stack, False)
+        search = _with_filter(no_hit(ray.line.t_max), filter_of(scene.filter, i, ray))
+        line = ray, memory, tally_of(scene.tallies, i)
+        best = walk_nearest(scene.arrays, line, search, stack, False).found
         write_nearest(hits, i, best, ray.line, ray)
         return np.uint64(best.triangle != ZERO_U64)
 
     @device
     def search_ray(i, scene, goal, memory):
         ray, stack = _load_ray(i, scene), memory + np.uint64(LANES_BYTES)
-        search = begin_search(ray.line.t_min, ray.line.t_max, goal, None, None, None)
-        return walk_hits(scene.arrays, (ray, memory), search, stack, wants_any(search)), ray
+        found = begin_search(ray.line.t_min, ray.line.t_max, goal, None, None, None)
+        search = _with_filter(found, filter_of(scene.filter, i, ray))
+        line = ray, memory, tally_of(scene.tallies, i)
+        search = walk_hits(scene.arrays, line, search, stack, wants_any(found))
+        return search.found, ray
 
     @device
     def count(i, scene, goal, memory):

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.geometry.float64.block import BLOCK, block_test, leaf_end, load_edges
+from raystream.geometry.float64.block import BLOCK, PRIM_IDS, block_test, leaf_end, load_edges
 from raystream.geometry.float64.ray import widened_far, widened_near
-from raystream.jit.constants import ZERO_F32, ZERO_F64
+from raystream.jit.constants import ONE_U64, ZERO_F32, ZERO_F64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     f32x8,
@@ -28,6 +28,8 @@ from raystream.jit.simd import (
     narrow,
     widen,
 )
+from raystream.kernels.leaf_block import triangle_count
+from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.structures.bvh.node_layout import BOX_FLIP, leaf_address
 from raystream.structures.bvh.walks.single import STACK_BYTES, tree_walk
 
@@ -74,7 +76,8 @@ def box_interval(first, last, ray):
 @device
 def _enter(node, line, search, t_min, t_far):
     """Test the boxes of a node's children; see `structures.bvh.steps.enter`."""
-    ray, _ = line
+    ray, _, tally = line
+    add_to(tally, STEPS, ONE_U64)
     at_x, at_y, at_z = node + ray.planes[0], node + ray.planes[1], node + ray.planes[2]
     first = load(f32x8, at_x), load(f32x8, at_y), load(f32x8, at_z)
     last = load(f32x8, at_x ^ BOX_FLIP), load(f32x8, at_y ^ BOX_FLIP), load(f32x8, at_z ^ BOX_FLIP)
@@ -87,10 +90,17 @@ def _enter(node, line, search, t_min, t_far):
 
 @device
 def _interval(line, search):
-    ray, _ = line
+    ray, _, _ = line
     far = widened_far(search.t_far)
     # Adding zero turns -0 into 0.
     return widened_near(ray.line.t_min), far, np.float32(far) + ZERO_F32
+
+
+@device
+def _count_tests(tally, block):
+    """Count the triangles of a block; without a tally, GPUs need not know how."""
+    if tally is not None:
+        add_to(tally, TESTS, triangle_count(block + PRIM_IDS))
 
 
 def blocks_by(
@@ -110,7 +120,8 @@ def blocks_by(
     callable
         ``make_traversal(take)``, for what becomes of the hits, see `block.block_test`, makes a
         device function ``walk(tree, line, search, stack, wants_any) -> search``. `line` has a
-        `Float64Ray`, and the address of 64 bytes. See `tree_walk` for the others.
+        `Float64Ray`, the address of 64 bytes, and the ray's tally or None. See `tree_walk` for
+        the others.
     """
 
     def make_traversal(take: Callable[..., Any]) -> Callable[..., Any]:
@@ -118,10 +129,12 @@ def blocks_by(
 
         @device
         def visit_leaf(tree, child, line, search, stack):
-            ray, spans = line
+            ray, spans, tally = line
+            add_to(tally, LEAVES, ONE_U64)
             block = leaf_address(tree.leaves, child)
             end = leaf_end(block, child)
             while block != end:
+                _count_tests(tally, block)
                 edges = load_edges(f64x4, block)
                 search, is_over = test_block(search, ray.line, edges, block, spans)
                 if is_over:
@@ -144,11 +157,12 @@ def all_blocks(take: Callable[..., Any]) -> Callable[..., Any]:
 
     @device
     def walk(tree, line, search, stack, wants_any):
-        ray, spans = line
+        ray, spans, tally = line
         if not ray.line.t_min <= search.t_far:
             return search
         block = tree.leaves
         for _ in range(tree.block_count):
+            _count_tests(tally, block)
             edges = load_edges(f64x4, block)
             search, is_over = test_block(search, ray.line, edges, block, spans)
             if is_over:

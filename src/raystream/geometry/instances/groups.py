@@ -12,7 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.geometry.instances.merged_hits import InstanceList, Merged, merge_hits, object_leaf
+from raystream.geometry.instances.merged_hits import (
+    InstanceList,
+    Merged,
+    admitted_rays,
+    merge_hits,
+    object_leaf,
+)
 from raystream.geometry.instances.object_rays import load_rays
 from raystream.geometry.instances.padding import drop_invalid, padded_source
 from raystream.geometry.instances.records import InstanceRecord, ObjectRecord, TreeRecord
@@ -103,12 +109,13 @@ def _search_instance(leaf, leaves, index, rays, count, scene):
 
 @device
 def _visit_instance(leaf, tree, child, rays, memory, small):  # noqa: ARG001
-    at, count = rays.at, rays.length
+    index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
+    mask = InstanceRecord(tree.leaves, index).mask
+    at, count = rays.at, admitted_rays(leaf.filter, mask, memory, rays)
     if rays.is_grouped:
         at, count = rays.room, list_rays(at, count, memory, rays.t_in, rays.room)
-        if count == ZERO_U64:
-            return ZERO_U64
-    index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
+    if count == ZERO_U64:
+        return ZERO_U64
     return _search_instance(leaf, tree.leaves, index, at, count, memory)
 
 
@@ -162,7 +169,7 @@ def _finish(memory, source, first, last, top, group_count, wanted):
         group = Group(memory, g)
         group.t, group.t_scale = Merged(memory, g).t + ZERO_F32, f32x16(np.float32(1.0))
         set_slow(group)
-    finish_nearest(memory, source, first, last, top, group_count, wanted)
+    return finish_nearest(memory, source, first, last, top, group_count, wanted)
 
 
 #: The nearest or any hits of instances without worlds: `TopAddresses`, with a tree that is not

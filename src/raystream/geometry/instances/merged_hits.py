@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -22,11 +22,28 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.kernels.best import Best, LanesFilter, best_views, shorten_ray
-from raystream.kernels.hit_filter import FILTERED_BYTES, U_AT, V_AT, HitFilter, RayFilter, keeps
+from raystream.kernels.hit_filter import (
+    FILTERED_BYTES,
+    U_AT,
+    V_AT,
+    HitFilter,
+    RayFilter,
+    asks_at_hits,
+    keeps,
+)
+from raystream.kernels.masks import has_bit, lanes_with_bit
 from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packets.rays import GROUP, GroupPlaces, first_ray
 from raystream.structures.bvh.ray_groups.leaf import GroupLeaf, visit_leaf
-from raystream.structures.bvh.ray_groups.rays import HOT_AT, LANE_SHIFT, LAST_LANE, PLACES_AT, Hot
+from raystream.structures.bvh.ray_groups.rays import (
+    GROUP_SHIFT,
+    HOT_AT,
+    LANE_SHIFT,
+    LAST_LANE,
+    PLACES_AT,
+    RAY_BITS,
+    Hot,
+)
 
 #: A group in a scene or an instance, see `kernels.best`; `before` has the bits of the numbers of
 #: the triangles that were hit before this instance.
@@ -69,6 +86,30 @@ def ray_index(scene, number):
 
 
 @device
+def admitted_rays(filter_, mask, scene, rays):
+    """Remove those of a `RayList` that cannot hit what has a mask; returns its new length.
+
+    `filter_` is a `HitFilter` or None. Groups without rays remain in a list of groups.
+    """
+    if filter_ is None:
+        return rays.length
+    if filter_.entered == NULL:
+        return rays.length
+    kept = ZERO_U64
+    for j in range(rays.length):
+        number = np.uint64(load(np.uint32, rays.at + j * LANE))
+        if rays.is_grouped:
+            first = ray_index(scene, number >> GROUP_SHIFT << LANE_SHIFT)
+            number &= ~RAY_BITS | mask_bits(lanes_with_bit(filter_.entered, first, mask))
+            is_kept = True
+        else:
+            is_kept = has_bit(filter_.entered, ray_index(scene, number), mask)
+        store(rays.at + kept * LANE, np.uint32(number))
+        kept += np.uint64(is_kept)
+    return kept
+
+
+@device
 def _ray_filter(filter_, rays, memory, g, k):
     """The `RayFilter` of a ray of an `InstanceList`; None without a filter."""
     if filter_ is None:
@@ -89,6 +130,8 @@ def _lanes_filter(filter_, rays, memory, g):
 @device
 def _kept_singly(rays, taken, t, u, v, number, memory, g):
     """The lanes whose hits exist, asked ray by ray: their indices do not follow each other."""
+    if not asks_at_hits(rays.filter):
+        return taken
     hits, bits, kept = scratch(FILTERED_BYTES), mask_bits(taken), ZERO_U64
     store(hits, t)
     store(hits + U_AT, u)

@@ -39,6 +39,7 @@ from raystream.kernels.best import shorten_lanes
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.leaf_kinds import InstanceHits, leaf_within, scene_group
 from raystream.structures.bvh.node_layout import prefetch_child
+from raystream.structures.bvh.packets.filters import rays_that_enter
 from raystream.structures.bvh.packets.leaf import Kind, Within, entering_rays
 from raystream.structures.bvh.packets.load import load_packet, prepare_group, set_slow
 from raystream.structures.bvh.packets.queries import PacketScene
@@ -95,6 +96,7 @@ def _load_groups(inside, packet, box, rays, groups, instance, object_):
         g = count_trailing_zeros(groups)
         groups &= groups - ONE_U64
         bits = entering_rays(packet, g, box, rays)
+        bits = rays_that_enter(inside.kind.filter, g, bits, instance.mask)
         if bits == ZERO_U64:
             continue
         hits, world = InstanceHits(packet, g), World(inside.worlds, g)

@@ -15,14 +15,15 @@ from raystream.kernels.ray import SceneFrame
 from raystream.structures.base import Structure
 
 #: World to object space: ``linear @ point + shift``; the object, the number of its first triangle
-#: in this instance, and its world, 0 if there are none. As long as a block of triangles, so that
-#: traversals prefetch a leaf of either tree where it is.
+#: in this instance, its world, 0 if there are none, and all bits of its masks. As long as a
+#: block of triangles, so that traversals prefetch a leaf of either tree where it is.
 _FIELDS: list[Any] = [
     ("linear", "f8", (3, 3)),
     ("shift", "f8", 3),
     ("object_id", "u4"),
     ("first_id", "i4"),
     ("world", "i4"),
+    ("mask", "i4"),
 ]
 _REST = BLOCK_BYTES - np.dtype(_FIELDS).itemsize
 _INSTANCE = np.dtype([*_FIELDS, ("unused", f"V{_REST}")])
@@ -76,6 +77,7 @@ def instance_records(triangles: InstancedTriangles, order: NDArray[np.integer]) 
     numbers[:, 9:12] = inverses[:, :, 3]
     records["object_id"] = instances.object_ids[order]
     records["first_id"] = triangles.first_ids[order]
+    records["mask"] = triangles.instance_masks.view(np.int32)[order]
     if instances.worlds is not None:
         records["world"] = instances.worlds[order]
     return records

@@ -17,6 +17,7 @@ from raystream.geometry.instances.records import TREE, InstanceRecord, ObjectRec
 from raystream.jit.constants import ONE_F64, ZERO_F64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
+from raystream.kernels.hit_filter import may_enter
 from raystream.kernels.queries import RaySearches, note_status, ray_filter, searches_of
 from raystream.kernels.ray import WorldRay, largest, missing_ray, prepare_ray
 from raystream.kernels.ray_source import load_ray, local_ray, read_ray
@@ -126,6 +127,8 @@ def _instance_search(traverse):
 
     def search_instance(tree, index, search, stack):
         instance = InstanceRecord(tree.leaves, index)
+        if not may_enter(search.filter, instance.mask):
+            return search
         object_ = ObjectRecord(tree.objects, np.uint64(instance.object_id))
         ray = local_ray(tree.ray, object_, instance)
         inner = enter_instance(search, ray, instance.first_id)

@@ -157,7 +157,9 @@ class PrimitiveBvh(PrimitiveStructure):
     def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
         super().__init__(triangles, options, progress=progress)
         own = self.arrays["sphere_nodes"], self.arrays["sphere_blocks"]
-        self.many_ray_kernels = batch_kernels(sum(one.nbytes for one in own))
+        sides = [(len(one.x) - 1, len(one.y) - 1) for one in self.triangles.fields]
+        only = sides[0] if len(sides) == 1 else None
+        self.many_ray_kernels = batch_kernels(sum(one.nbytes for one in own), only)
 
     def _tree_over(
         self, boxes: NDArray[np.float64], leaf_size: int, progress: Progress | None

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.constants import INF_F32, ONE_U64
-from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
+from raystream.kernels.leaf_block import BLOCK, PRIM_IDS, block_ray, intersect_block, triangle_count
 from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.machines.records import (
@@ -78,7 +78,7 @@ def intersect(ray, wanted, found, place, query, kernel):
     search = resume_search(query.hits, ray, wanted, found, query)
     block, state = place.block, INTERSECTING
     for _ in range(query.tests):
-        count_step(query, wanted, kernel, TESTS, triangle_count(block))
+        count_step(query, wanted, kernel, TESTS, triangle_count(block + PRIM_IDS))
         search = intersect_block(block, line, search, search.t_min, INF_F32)
         block += BLOCK
         if is_full(search):

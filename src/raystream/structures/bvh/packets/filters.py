@@ -27,9 +27,10 @@ from raystream.kernels.hit_filter import (
     V_AT,
     HitFilter,
     RayFilter,
+    asks_at_hits,
     kept_hits,
 )
-from raystream.kernels.masks import admitted_lanes
+from raystream.kernels.masks import admitted_lanes, lanes_with_bit
 from raystream.kernels.ray import world_t
 from raystream.structures.bvh.packets.rays import (
     GroupLanes,
@@ -101,6 +102,17 @@ def lanes_filter(filter_, group, g):
 
 
 @device
+def rays_that_enter(filter_, g, bits, mask):
+    """Bits of those rays of group g that may hit what has a mask, for a `PacketFilter` or None."""
+    if filter_ is None:
+        return bits
+    own = filter_.filter
+    if own.entered == NULL:
+        return bits
+    return bits & mask_bits(lanes_with_bit(own.entered, first_ray(filter_.places, g), mask))
+
+
+@device
 def _unskipped(filter_, taken, prim_id, first):
     """The mask of those lanes whose rays do not skip a triangle."""
     # Lanes that are not taken may be beyond the last ray: they read what a taken one does.
@@ -109,6 +121,19 @@ def _unskipped(filter_, taken, prim_id, first):
     at = filter_.skipped + first * filter_.skip_count * _LANE
     for k in range(filter_.skip_count):
         taken = taken & (gather(np.int32, at + k * _LANE, rows) != i32x16(prim_id))
+    return taken
+
+
+@device
+def lanes_that_may_hit(own, taken, prim_id, first):
+    """The mask of those lanes that masks and skipped triangles of a `HitFilter` leave.
+
+    `first` is the batch index of the first lane's ray.
+    """
+    if own.masks != NULL:
+        taken = taken & admitted_lanes(own.masks, first, prim_id)
+    if own.skip_count != ZERO_U64 and mask_bits(taken) != ZERO_U64:
+        taken = _unskipped(own, taken, prim_id, first)
     return taken
 
 
@@ -127,11 +152,10 @@ def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
         The group's index.
     """
     own = filter_.filter
+    if not asks_at_hits(own):
+        return taken
     first = first_ray(filter_.places, g)
-    if own.masks != NULL:
-        taken = taken & admitted_lanes(own.masks, first, prim_id)
-    if own.skip_count != ZERO_U64 and mask_bits(taken) != ZERO_U64:
-        taken = _unskipped(own, taken, prim_id, first)
+    taken = lanes_that_may_hit(own, taken, prim_id, first)
     bits = mask_bits(taken)
     if own.function == NULL or bits == ZERO_U64:
         return taken

@@ -2,20 +2,20 @@
 
 Hits are appended 16 lanes at a time, with the index of their ray. To sort them, that is the index
 in the packet: when the packet is done, hits are counted by ray, scattered to the ray's rows, and
-sorted there.
+sorted there. Those of rays in flight are, too, with the index in their call.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import compress, i32x16, lane_numbers, load, mask_bits, popcount, store
 from raystream.jit.views import view
 from raystream.kernels.search import ROW_SHIFT, get_hit, is_before, put_hit, sort_hits
-from raystream.structures.bvh.packets.rays import GROUPS, PACKET_RAYS
+from raystream.structures.bvh.packets.rays import PACKET_RAYS
 
 #: Addresses of buffers: hits in the order of discovery, sorted hits, their rays and the ends of the
 #: rays' rows; then the capacity in hits, and what is in use: hits, and rays if hits are sorted.
@@ -24,6 +24,9 @@ _ROWS = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8")])
 _NUMBERS = "ray_ids", "splits", "capacity", "used", "ray_count"
 Buffers = view([("found", _FOUND), ("rows", _ROWS), *((name, "u8") for name in _NUMBERS)])
 
+#: Groups of a packet, or of a block of them.
+_MOST_GROUPS = 256
+
 _COLLECTOR = np.dtype(
     [
         ("buffers", "u8"),  # their address
@@ -31,7 +34,7 @@ _COLLECTOR = np.dtype(
         ("capacity", "u8"),  # of the buffers
         ("is_counting", "u8"),  # whether hits are counted only
         ("in_world", "u8"),  # whether to convert t to world direction lengths
-        ("first_rays", "i4", (int(GROUPS), 1)),  # index of each group's first ray
+        ("first_rays", "i4", (_MOST_GROUPS, 1)),  # index of each group's first ray
     ]
 )
 Collector = view(_COLLECTOR)
@@ -44,7 +47,6 @@ ENDS_BYTES = _ENDS.itemsize
 
 _LANE = np.uint64(4)
 _LANES = np.uint64(16)
-_RAYS = np.uint64(PACKET_RAYS)
 
 #: Rays with more hits are sorted by a heap.
 _LONG = np.uint64(24)
@@ -104,17 +106,21 @@ def _insert(rows, first, row, t, u, v, prim_id):
 
 
 @device_call
-def sort_packet(hits, ends, used):
-    """Sort a packet's hits by ray, t and prim_id.
+def sort_by_ray(buffers, count, ends, ray_count, used, sorts):
+    """Move the hits of rays from the order of discovery to rows, the rays' one after another.
 
     Parameters
     ----------
-    hits : Collector
-        With all hits of the packet.
-    ends : Ends
-        Written: the end of each ray's rows.
+    buffers : Buffers
+    count : uint64
+        Hits, of which `buffers.found` has all.
+    ends : uint64
+        Address of a uint64 per ray. Written: the end of its rows.
+    ray_count : uint64
     used : uint64
         Rows in use before.
+    sorts : bool
+        Whether each ray's hits are sorted by t and prim_id.
 
     Returns
     -------
@@ -122,33 +128,32 @@ def sort_packet(hits, ends, used):
         Rows in use now.
     """
     no_inline()
-    buffers = Buffers(hits.buffers)
-    found, rows = buffers.found, buffers.rows
-    row_ends, count, rays = ends.ends, hits.count, found.ray
-    for ray in range(_RAYS):
-        row_ends[ray] = ZERO_U64
+    found, rows, rays = buffers.found, buffers.rows, buffers.found.ray
+    for ray in range(ray_count):
+        store(ends + (ray << SHIFT_64), ZERO_U64)
     for k in range(count):
-        ray = np.uint64(load(np.int32, rays + k * _LANE))
-        row_ends[ray] = row_ends[ray] + ONE_U64
+        at = ends + (np.uint64(load(np.int32, rays + k * _LANE)) << SHIFT_64)
+        store(at, load(np.uint64, at) + ONE_U64)
     row = used
-    for ray in range(_RAYS):
-        ray_count = row_ends[ray]
-        row_ends[ray] = row
-        row += ray_count
+    for ray in range(ray_count):
+        at = ends + (ray << SHIFT_64)
+        own_count = load(np.uint64, at)
+        store(at, row)
+        row += own_count
     for k in range(count):
-        ray = np.uint64(load(np.int32, rays + k * _LANE))
+        at = ends + (np.uint64(load(np.int32, rays + k * _LANE)) << SHIFT_64)
         t, u, v, prim_id = get_hit(found, k)
-        row = row_ends[ray]
+        row = load(np.uint64, at)
         put_hit(rows, row, t, u, v, prim_id)
-        row_ends[ray] = row + ONE_U64
+        store(at, row + ONE_U64)
     first = used
-    for ray in range(_RAYS):
-        ray_count = row_ends[ray] - first
-        if ray_count > _LONG:
-            sort_hits(rows, first, ray_count)
+    for ray in range(ray_count if sorts else ZERO_U64):
+        end = load(np.uint64, ends + (ray << SHIFT_64))
+        if end - first > _LONG:
+            sort_hits(rows, first, end - first)
         else:
-            for k in range(ONE_U64, ray_count):
-                t, u, v, prim_id = get_hit(rows, first + k)
-                _insert(rows, first, first + k, t, u, v, prim_id)
-        first += ray_count
-    return first
+            for row in range(first + ONE_U64, end):
+                t, u, v, prim_id = get_hit(rows, row)
+                _insert(rows, first, row, t, u, v, prim_id)
+        first = end
+    return used + count

@@ -27,7 +27,7 @@ from raystream.structures.bvh.packets.hits import (
     Collector,
     Ends,
     has_room,
-    sort_packet,
+    sort_by_ray,
 )
 from raystream.structures.bvh.packets.queries import PacketAnswer, PacketScene, packet_kernel
 from raystream.structures.bvh.packets.rays import (
@@ -43,7 +43,7 @@ from raystream.structures.bvh.packets.rays import (
 if TYPE_CHECKING:
     from raystream.structures.base import Structure
 
-_LANES = np.uint64(16)
+_LANES, _RAYS = np.uint64(16), np.uint64(PACKET_RAYS)
 _LANE = np.uint64(4)
 
 #: Where the ends of a packet's rows are, behind its collector.
@@ -165,7 +165,7 @@ def store_rows(packet, number, slow_groups, source, scene, wanted, state):
     if not has_room(hits) or (sorts and used + count > buffers.capacity):
         return False
     if sorts:
-        buffers.used = sort_packet(hits, Ends(state + _ENDS_AT), used)
+        buffers.used = sort_by_ray(buffers, count, state + _ENDS_AT, _RAYS, used, True)
         _finish_rows(packet, number, order, slow_groups, state, used, buffers)
         return True
     if slow_groups != ZERO_U64:
@@ -255,22 +255,29 @@ def plain_source(structure: Structure, batch: Batch) -> PacketSource:
     return batch.packets(structure.frame)
 
 
-def _visit_all(
-    trace: Callable[..., int], source_of: SourceOf, structure: Structure, batch: Batch
+def visit_all(
+    trace: Callable[..., int],
+    source_of: SourceOf,
+    structure: Structure,
+    batch: Batch,
+    by_ray: bool = False,
 ) -> Calls:
-    """Deliver all hits of packets to the sink's visitor, in parts; see `BatchKernel.bind`."""
+    """Deliver all hits of packets to the sink's visitor, in parts; see `BatchKernel.bind`.
+
+    They are sorted if the query says so, or if the kernel has them `by_ray` only.
+    """
     query, visitor, source = batch.query, batch.sink.visitor, source_of(structure, batch)
     assert visitor is not None
     # Unsorted hits have 32-bit ray indices.
-    sorts = query.is_ordered or len(batch.rays) >= 2**31
+    sorts = by_ray or query.is_ordered or len(batch.rays) >= 2**31
     scene = structure.view
 
-    def fill(begin: int, end: int, buffers: PacketBuffers) -> int:
+    def fill(begin: int, end: int, buffers: PacketBuffers, *memory: int) -> int:
         in_use = buffers.addresses[-2:]
         in_use[:] = 0
         at = np.uint64(buffers.addresses.ctypes.data)
         wanted = RowsWanted(query.surfaces, NULL, sorts, at, query.on_hit)
-        reached = trace(begin, end, scene, source, wanted)
+        reached = trace(begin, end, scene, source, wanted, *memory)
         used, ray_count = in_use.tolist()
         if used:
             visitor(buffers.sorted_hits(ray_count) if sorts else buffers.found_hits(used))
@@ -294,7 +301,7 @@ def all_hits_kernels(
 ) -> tuple[BatchKernel, BatchKernel]:
     """The kernels that deliver all hits of packets to a visitor, and that count them."""
     trace = packet_kernel(scenes, answer)
-    visited, counted = partial(_visit_all, trace, source_of), partial(count_all, trace, source_of)
+    visited, counted = partial(visit_all, trace, source_of), partial(count_all, trace, source_of)
     return (
         BatchKernel(visited, CallSize(8, PACKETS_PER_CALL, joins_chunks=False), is_tiled=True),
         BatchKernel(counted, CallSize(8, COUNTED_PER_CALL), is_tiled=True),

@@ -34,7 +34,8 @@ def group_kernel(load: Any, trace: Any, finish: Any, block_packets: int) -> Any:
     trace : device function
         ``trace(memory, count, ray_count, scene, source, wanted)`` traces the list.
     finish : device function
-        ``finish(memory, source, first, last, scene, group_count, wanted)`` writes the results.
+        ``finish(memory, source, first, last, scene, group_count, wanted)`` writes the results;
+        returns False if they do not fit.
     block_packets : int
         Packets whose rays are traced together.
 
@@ -43,6 +44,7 @@ def group_kernel(load: Any, trace: Any, finish: Any, block_packets: int) -> Any:
     kernel
         ``trace_groups(begin, end, scene, source, wanted, memory)`` traces packets begin to end;
         `scene` and `wanted` are for these functions. The address of the memory is a multiple of 64.
+        It returns the first packet of those whose results do not fit, or `end`.
     """
     step = np.uint64(block_packets)
 
@@ -53,7 +55,9 @@ def group_kernel(load: Any, trace: Any, finish: Any, block_packets: int) -> Any:
             last = min(first + step, np.uint64(end))
             count, ray_count, group_count = load(memory, source, first, last, scene, wanted)
             trace(memory, count, ray_count, scene, source, wanted)
-            finish(memory, source, first, last, scene, group_count, wanted)
+            if not finish(memory, source, first, last, scene, group_count, wanted):
+                return np.int64(first)
+        return np.int64(end)
 
     return trace_groups
 
@@ -75,6 +79,7 @@ def _trace(memory, count, ray_count, scene, source, wanted):
 def finish_nearest(memory, source, first, last, scene, group_count, wanted):
     """Write the nearest or any hits of packets; see `group_kernel`."""
     store_block(memory, source.order, first, last, wanted.wants_any, wanted.out)
+    return True
 
 
 #: The nearest or any hits of one tree, `TreeAddresses`, which is not empty, for a

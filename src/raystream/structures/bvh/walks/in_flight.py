@@ -8,6 +8,8 @@ on a single ray.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from raystream.core.rays import INVALID
@@ -52,6 +54,7 @@ IN_FLIGHT = np.uint64(32)
 _LINE = np.uint64(64)
 _MISS = np.int32(-1)
 _KEY_BITS = np.int32(~7)
+_NO_HITS = np.uint32(0)
 
 #: prim_id of a ray without a hit: the greatest number.
 NO_PRIM = np.int32(2**31 - 1)
@@ -85,20 +88,20 @@ SLOT = np.dtype(
         ("planes", "u8", 3),  # rows of a node's planes that the ray enters by
         ("axes", "u8", 3),  # see `BlockRay`
         ("direction", "f4", 3),
-        ("unused", "V12"),
+        ("count", "u4"),  # hits, if all are wanted
+        ("unused", "V8"),
     ]
 )
-Slot = view(SLOT)
 
 #: Bytes of a ray's stack: keys, and behind them children, each with room for the eight lanes that
 #: are always stored.
-_CHILDREN = np.uint64(4 * (STACK_SIZE + 16))
-STACK = _CHILDREN + _CHILDREN
+CHILDREN = np.uint64(4 * (STACK_SIZE + 16))
+STACK = CHILDREN + CHILDREN
 
 #: Bytes of a queue of slots, with room for the one that is always stored.
 QUEUE_BYTES = int(IN_FLIGHT * BYTES_64 + _LINE)
 
-_SLOTS_BYTES, _STACKS_BYTES = int(IN_FLIGHT) * SLOT.itemsize, int(IN_FLIGHT * STACK)
+_STACKS_BYTES = int(IN_FLIGHT * STACK)
 _HITS_BYTES = HITS.itemsize
 
 
@@ -126,21 +129,21 @@ def start_ray(slot, stack, i, ray, max_coordinate):
     slot.planes = plane_row(r.kx, inv_x), plane_row(r.ky, inv_y), plane_row(r.kz, inv_z)
     slot.axes = r.kx * AXIS, r.ky * AXIS, r.kz * AXIS
     slot.t_min, slot.t, slot.t_key = ray.t_min, ray.t_max, t_key(ray.t_max)
-    slot.prim_id, slot.u, slot.v = NO_PRIM, ZERO_F32, ZERO_F32
+    slot.prim_id, slot.u, slot.v, slot.count = NO_PRIM, ZERO_F32, ZERO_F32, _NO_HITS
     slot.child, slot.top = np.int32(0), LANE
     slot.ray, slot.t_scale, slot.t_offset = np.int64(i), ray.t_scale, ray.t_offset
     store(stack, _BOTTOM_KEY)
-    store(stack + _CHILDREN, _BOTTOM)
+    store(stack + CHILDREN, _BOTTOM)
 
 
 @device
-def finish_ray(slot, wants_any, out):
-    """Write the result of a slot's ray, if it has one, and empty the slot."""
+def finish_ray(slot, wanted):
+    """Write the nearest or any hit of a slot's ray, if it has one, and empty the slot."""
     if slot.ray < np.int64(0):
         return
-    i, prim_id = np.uint64(slot.ray), slot.prim_id
+    (i, prim_id), out = (np.uint64(slot.ray), slot.prim_id), wanted.out
     slot.ray = NO_RAY
-    if wants_any:
+    if wanted.wants_any:
         store(out.seen + i, np.uint8(prim_id != NO_PRIM))
         return
     t = INF_F32
@@ -171,7 +174,7 @@ def visit_node(slot, nodes, stack):
     key = sort_keys(select(entered, key, i32x8(_BOTTOM_KEY)))
     top = slot.top
     store(stack + top, key)
-    store(stack + _CHILDREN + top, permute(node.children, key))
+    store(stack + CHILDREN + top, permute(node.children, key))
     return top + (popcount(mask_bits(entered)) << np.uint64(2))
 
 
@@ -184,6 +187,14 @@ def filter_of(filter_, slot):
 
 
 @device
+def line_of(slot):
+    """The `BlockRay` of a slot."""
+    return BlockRay(
+        slot.axes, slot.inv, slot.near, slot.far, slot.origin, slot.direction, slot.shear
+    )
+
+
+@device
 def test_leaf(slot, leaves, lanes_at, keep, given):
     """Test the triangles of a slot's next leaf; returns whether its ray is done.
 
@@ -193,10 +204,7 @@ def test_leaf(slot, leaves, lanes_at, keep, given):
     at = leaf_address(leaves, slot.child)
     end = leaf_end(at, slot.child)
     while at != end:
-        ray = BlockRay(
-            slot.axes, slot.inv, slot.near, slot.far, slot.origin, slot.direction, slot.shear
-        )
-        bits = test_block(at, ray, slot.t_min, slot.t, False, lanes_at)
+        bits = test_block(at, line_of(slot), slot.t_min, slot.t, False, lanes_at)
         if bits != ZERO_U64 and keep(slot, at, bits, HitLanes(lanes_at), given):
             return True
         at += BLOCK
@@ -204,15 +212,14 @@ def test_leaf(slot, leaves, lanes_at, keep, given):
 
 
 @device
-def _visit_leaf(slot, tree, frame, source, lanes_at, wants_any, filter_):
-    return test_leaf(slot, tree.leaves, lanes_at, _keep, (wants_any, filter_))
+def _visit_leaf(slot, tree, frame, source, lanes_at, wanted):
+    return test_leaf(slot, tree.leaves, lanes_at, _keep, wanted)
 
 
 @device
-def _keep(slot, at, bits, lanes, given):
-    (wants_any, filter_), block = given, Block(at)
-    own = filter_of(filter_, slot)
-    if not wants_any:
+def _keep(slot, at, bits, lanes, wanted):
+    own, block = filter_of(wanted.filter, slot), Block(at)
+    if not wanted.wants_any:
         _keep_nearest(slot, block, bits, lanes, own)
     elif any_kept(own, block, bits, lanes):
         slot.prim_id = np.int32(0)
@@ -237,7 +244,13 @@ def _keep_nearest(slot, block, bits, lanes, filter_):
 
 
 @device
-def next_child(slot, top, stack, tree, prefetching):
+def _prefetch(slot, stack, tree):
+    """Prefetch a slot's next node or leaf."""
+    prefetch_child(slot.child, tree.nodes, tree.leaves)
+
+
+@device
+def next_child(slot, top, stack, tree, prefetching, prefetch=_prefetch):
     """Pop the nearest child within the search interval.
 
     Returns
@@ -249,10 +262,10 @@ def next_child(slot, top, stack, tree, prefetching):
     top -= LANE
     while load(np.int32, stack + top) > limit:
         top -= LANE
-    child = load(np.int32, stack + _CHILDREN + top)
+    child = load(np.int32, stack + CHILDREN + top)
     slot.child, slot.top = child, top
     if prefetching:
-        prefetch_child(child, tree.nodes, tree.leaves)
+        prefetch(slot, stack, tree)
     is_leaf, is_end = np.uint64(child < np.int32(0)), np.uint64(child == _BOTTOM)
     return (is_leaf | is_end) ^ ONE_U64, is_leaf, is_end
 
@@ -271,44 +284,83 @@ def append(queue, count, k, is_next):
 
 
 @device
-def _complete(slot, tree, frame, source, wants_any, filter_):
+def _complete(slot, tree, frame, source, wanted):
     """The `complete` of a scene with one tree."""
 
 
-def wavefront_kernel(visit_leaf, complete=_complete):
+@device
+def _begin(slot, stack, i, ray, tree, frame, source):
+    """The `begin` of a tree whose rays need no more than a `SLOT`."""
+
+
+@device
+def _visit_node(slot, stack, tree):
+    return visit_node(slot, tree.nodes, stack)
+
+
+class TreeKind(NamedTuple):
+    """How rays in flight walk a kind of tree.
+
+    Attributes
+    ----------
+    record : dtype
+        Of a slot: `SLOT`, and what else the functions write and read.
+    begin : device function
+        ``begin(slot, stack, i, ray, tree, frame, source)`` does what is left to do for ray i, a
+        `LocalRay`, after `start_ray`.
+    visit_node, prefetch : device function
+        Of the next node: ``visit_node(slot, stack, tree)``, see `visit_node`, and
+        ``prefetch(slot, stack, tree)``, also of the next leaf, or of none.
+    """
+
+    record: np.dtype[Any]
+    begin: Any
+    visit_node: Any
+    prefetch: Any
+
+
+#: The wide tree.
+WIDE = TreeKind(SLOT, _begin, _visit_node, _prefetch)
+
+
+def wavefront_kernel(visit_leaf, finish, complete=_complete, kind=WIDE):
     """Make the kernel for rays in flight.
 
     Parameters
     ----------
     visit_leaf : device function
-        ``visit_leaf(slot, tree, frame, source, lanes, wants_any, filter_)`` tests the primitives of
-        the slot's next leaf and keeps their hits in the slot; returns whether its ray is done.
-        `lanes` is the address of `HITS`.
+        ``visit_leaf(slot, tree, frame, source, lanes, wanted)`` tests the primitives of the slot's
+        next leaf and keeps their hits; returns whether its ray is done. `lanes` is the address of
+        `HITS`.
+    finish : device function
+        ``finish(slot, wanted)`` writes the result of a slot's ray, if it has one, and empties the
+        slot.
     complete : device function
-        ``complete(slot, tree, frame, source, wants_any, filter_)`` searches for the ray of a slot,
-        if it has one, what else is in the scene [default: nothing].
+        ``complete(slot, tree, frame, source, wanted)`` searches for the ray of a slot, if it has
+        one, what else is in the scene [default: nothing].
+    kind : TreeKind, optional
 
     Returns
     -------
     kernel
-        ``trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, filter_, out)``
-        traces rays begin to end.
+        ``trace_wavefront(begin, end, tree, frame, source, prefetching, wanted)`` traces rays begin
+        to end.
 
         tree : NamedTuple
-            With addresses of ``nodes``, not empty, and ``leaves``.
+            With addresses of ``nodes``, not empty, and ``leaves``, or what else `kind` takes.
         frame : SceneFrame
         source : RaySource
-        wants_any : bool
-            Find whether there is a hit, else the nearest one.
         prefetching : bool
             Prefetch nodes: pays off if the tree does not fit into the cache.
-        filter_ : HitFilter or None
-        out : ResultAddresses
+        wanted : NamedTuple
+            As the functions take it, with ``out``, a `ResultAddresses`.
     """
+    slot_view, slots_bytes = view(kind.record), int(IN_FLIGHT) * kind.record.itemsize
+    begin_ray, visit, prefetch = kind.begin, kind.visit_node, kind.prefetch
 
     @kernel
-    def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, filter_, out):
-        slots, stacks = scratch(_SLOTS_BYTES), scratch(_STACKS_BYTES)
+    def trace_wavefront(begin, end, tree, frame, source, prefetching, wanted):
+        slots, stacks = scratch(slots_bytes), scratch(_STACKS_BYTES)
         lanes = scratch(_HITS_BYTES)
         # Slots by what their rays need next: a node, a leaf, or nothing more.
         node, leaf, done = scratch(QUEUE_BYTES), scratch(QUEUE_BYTES), scratch(QUEUE_BYTES)
@@ -316,20 +368,22 @@ def wavefront_kernel(visit_leaf, complete=_complete):
         ray_next, ray_end = np.uint64(begin), np.uint64(end)
         for k in range(IN_FLIGHT):
             done_count = append(done, done_count, k, ONE_U64)
-            Slot(slots, k).ray = NO_RAY
+            slot_view(slots, k).ray = NO_RAY
 
         while True:
             # Step 1: write the results of finished slots and start new rays in them.
             for j in range(done_count):
                 k = item(done, j)
-                slot = Slot(slots, k)
-                complete(slot, tree, frame, source, wants_any, filter_)
-                finish_ray(slot, wants_any, out)
+                slot = slot_view(slots, k)
+                complete(slot, tree, frame, source, wanted)
+                finish(slot, wanted)
                 if ray_next < ray_end:
                     ray = load_ray(source, ray_next, frame)
                     if ray.status == INVALID:
-                        store(out.status + ray_next, INVALID)
-                    start_ray(slot, stacks + k * STACK, ray_next, ray, frame.max_coordinate)
+                        store(wanted.out.status + ray_next, INVALID)
+                    stack = stacks + k * STACK
+                    start_ray(slot, stack, ray_next, ray, frame.max_coordinate)
+                    begin_ray(slot, stack, ray_next, ray, tree, frame, source)
                     ray_next += ONE_U64
                     node_count = append(node, node_count, k, ONE_U64)
             done_count = ZERO_U64
@@ -341,9 +395,9 @@ def wavefront_kernel(visit_leaf, complete=_complete):
             waiting, node_count = node_count, ZERO_U64
             for j in range(waiting):
                 k = item(node, j)
-                slot, stack = Slot(slots, k), stacks + k * STACK
-                top = visit_node(slot, tree.nodes, stack)
-                is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching)
+                slot, stack = slot_view(slots, k), stacks + k * STACK
+                top = visit(slot, stack, tree)
+                is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching, prefetch)
                 node_count = append(node, node_count, k, is_node)
                 leaf_count = append(leaf, leaf_count, k, is_leaf)
                 done_count = append(done, done_count, k, is_end)
@@ -352,10 +406,10 @@ def wavefront_kernel(visit_leaf, complete=_complete):
             waiting, leaf_count = leaf_count, ZERO_U64
             for j in range(waiting):
                 k = item(leaf, j)
-                slot, stack = Slot(slots, k), stacks + k * STACK
-                is_done = visit_leaf(slot, tree, frame, source, lanes, wants_any, filter_)
+                slot, stack = slot_view(slots, k), stacks + k * STACK
+                is_done = visit_leaf(slot, tree, frame, source, lanes, wanted)
                 top = LANE if is_done else slot.top
-                is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching)
+                is_node, is_leaf, is_end = next_child(slot, top, stack, tree, prefetching, prefetch)
                 node_count = append(node, node_count, k, is_node)
                 leaf_count = append(leaf, leaf_count, k, is_leaf)
                 done_count = append(done, done_count, k, is_end)
@@ -363,5 +417,5 @@ def wavefront_kernel(visit_leaf, complete=_complete):
     return trace_wavefront
 
 
-#: Through a tree of triangles, `TreeAddresses`.
-trace_wavefront = wavefront_kernel(_visit_leaf)
+#: The nearest or any hits in a tree of triangles, `TreeAddresses`, for a `NearestWanted`.
+trace_wavefront = wavefront_kernel(_visit_leaf, finish_ray)
