@@ -137,7 +137,7 @@ class TreeMap:
         if store.has_primitives:
             fields = zip(store.local_fields, structure.levels, store.first_fields, strict=False)
             for local, levels, number in fields:
-                yield self._field(frame, local, levels, lambda ids, n=number: leaf_of(n + ids))
+                yield self._field(frame, (local, levels, int(number)), leaf_of)
             yield from self._wide(frame, arrays["sphere_nodes"], spheres)
 
     def _instance(self, code: int) -> tuple[str, Callable[[], list[Any]]]:
@@ -174,8 +174,9 @@ class TreeMap:
             around = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
             yield self._place(frame, around, "node", lambda: inside(0))
 
-    def _field(self, frame: Frame, local: Any, levels: Any, leaf_of: Callable[[Any], Any]) -> Place:
-        """The root of a height field's tree."""
+    def _field(self, frame: Frame, field: Any, leaf_of: Callable[[Any], Any]) -> Place:
+        """The root of the tree of a height field: its arrays, levels and first number."""
+        local, levels, first = field
         columns, rows = len(local.x) - BLOCK_CELLS - 1, len(local.y) - 1
 
         def cells(column: int, row: int, size: int) -> tuple[slice, slice]:
@@ -198,7 +199,7 @@ class TreeMap:
                 kind, within = "node", lambda one=place: inside(level - 1, *one)
                 if level == 1:
                     row_of, column_of = np.mgrid[along, across]
-                    number = 2 * (row_of * columns + column_of)
+                    number = first + 2 * (row_of * columns + column_of)
                     kind, within = leaf_of(np.stack([number, number + 1], axis=-1))
                 made.append(self._place(frame, box, kind, within))
             return made

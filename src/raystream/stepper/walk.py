@@ -228,7 +228,8 @@ def _through_trees(
     for key, t in zip(ids, found.t.tolist(), strict=True):
         hits.setdefault(key, t)  # the first of two of a sphere
     ray = np.array([origin, direction], np.float64).reshape(2, 3)
-    steps, counts, is_whole = [], dict.fromkeys(COLUMNS, 0), True
+    steps: list[Step] = []
+    counts, is_whole = dict.fromkeys(COLUMNS, 0), True
     for one in visits(TreeMap(structure, ray).roots(), hits):
         if len(steps) >= max_steps:
             is_whole = False
