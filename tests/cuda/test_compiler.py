@@ -112,7 +112,17 @@ def test_every_kernel_of_instances_and_primitives_compiles(scene, name, kind, qu
     assert sum(map(int, depots)) <= LOCAL_BYTES[name, kind] + 64
 
 
-@pytest.mark.parametrize("name", ["brute", "bvh"])
+OTHERS = [
+    f"{name}, {kind}"
+    for name in ("brute", "bvh")
+    for kind in ("instances", "primitives", "float64")
+]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["brute", "bvh", *(pytest.param(one, marks=pytest.mark.exhaustive) for one in OTHERS)],
+)
 def test_every_kernel_of_points_compiles(scene, name):
     made, arguments = point_kernels(scene)[name]
     compiled = made.compiled(arguments, CAPABILITIES[0])

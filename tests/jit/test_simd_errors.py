@@ -98,7 +98,7 @@ ERRORS = {
     "float_as_bits(i32x8(1))": "float_as_bits takes floats of 32 or 64 bits, not i32x8",
     "bits_as_float(number)": "bits_as_float takes integers of 32 or 64 bits, not float32",
     "widen(f64x8(1))": "widen takes a float32 vector, or a number, not f64x8",
-    "narrow(x)": "narrow takes a float64 vector, not f32x8",
+    "narrow(x)": "narrow takes a float64 vector or number, not f32x8",
     # memory
     "address(number)": "address takes an array, not float32",
     "load(f32x8, array)": "load takes a uint64 as address, not array",

@@ -138,10 +138,11 @@ class LazyHits(_LazyColumns):
             is given.
         """
         (records,) = dask.compute(self._records, **self._compute_options(options))
-        *columns, status = (
+        t, u, v, prim_id, *placed, status = (
             blocks.column(np.asarray(records), name) for name in self._records.dtype.names
         )
-        return Hits(*columns[:4], status, self._triangles, None, *columns[4:])
+        instance_id = placed[0] if placed else None
+        return Hits(t, u, v, prim_id, status, self._triangles, instance_id=instance_id)
 
     def persist(self, **options: Any) -> LazyHits:
         """Trace the rays and keep the hits on the workers."""
@@ -214,12 +215,13 @@ class LazyMultiHits(_LazyColumns):
         parts = list(found)
         counts = np.concatenate([part["counts"] for part in parts])
         splits = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        columns = [
+        t, u, v, prim_id, *placed = (
             np.concatenate([part[name] for part in parts])
             for name in blocks.columns_of(self._triangles)
-        ]
+        )
         status = np.concatenate([part["status"] for part in parts]).reshape(self._shape)
-        return MultiHits(splits, *columns[:4], status, self._triangles, *columns[4:])
+        instance_id = placed[0] if placed else None
+        return MultiHits(splits, t, u, v, prim_id, status, self._triangles, instance_id)
 
     def persist(self, **options: Any) -> LazyMultiHits:
         """Trace the rays and keep the hits on the workers."""

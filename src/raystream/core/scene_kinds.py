@@ -34,7 +34,6 @@ _PRIMITIVES = ("spheres", "fields")
 _ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
 
 # Why a kind of scene lacks a feature.
-_BOXES = "steps are shown for one tree over triangles"
 _SETS = "worlds are sets of instances"
 
 
@@ -109,10 +108,10 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "winding numbers": Feature(_ALL, "`winding_number`"),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
         "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
-        "raystream.torch": Feature(_ONE_WORLD, "`raystream.torch`"),
-        "raystream.jax": Feature(_ONE_WORLD, "`raystream.jax`"),
+        "raystream.torch": Feature(_ONE_WORLD, "`raystream.torch`", _SETS),
+        "raystream.jax": Feature(_ONE_WORLD, "`raystream.jax`", _SETS),
         "a cluster": Feature(_ONE_WORLD, "clusters", _SETS),
-        "walk": Feature((), "`raystream.stepper.walk`", _BOXES),
+        "walk": Feature(_ONE_WORLD, "`raystream.stepper.walk`", _SETS),
     }
 )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from raystream.kernels.ray_source import RaySource
 from raystream.programs.decisions import Decision
 from raystream.programs.loop_source import Goal
 from raystream.scene.scene import Scene
-from raystream.structures import STRUCTURES, build_structure, names_with, options_of
+from raystream.structures import STRUCTURES, names_with, options_of
 from raystream.tracer.devices import build_on_cpu
 from raystream.tracer.precision import float64_triangles
 
@@ -124,12 +125,14 @@ def scenes_of_kinds(scene: Scene) -> dict[str, Scene]:
 def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """The kernels that find closest points, by structure, with arguments of the right types."""
     to = NearestArrays(*[_AT] * 6)
+    kinds = {f", {kind}": held.triangles for kind, held in scenes_of_kinds(scene).items()}
+    stores = {"": scene.triangles, **kinds, ", float64": float64_triangles(scene)}
     made = {}
-    for name in names_with("nearest search"):
-        structure = build_structure(name, scene.triangles)
-        tree = lay_out(structure).tree
-        points = PointScene(_AT, _AT, _AT, structure.frame, tree, _AT, _AT, None)
-        made[name] = nearest_kernel(name), (points, to)
+    for (kind, store), name in product(stores.items(), names_with("nearest search")):
+        structure = build_on_cpu(options_of(name), store)
+        shared = structure.frame, structure.point_view, _AT, _AT, None
+        points = PointScene(_AT, _AT, _AT, *shared)
+        made[name + kind] = nearest_kernel(traced_as(structure)), (points, to)
     return made
 
 

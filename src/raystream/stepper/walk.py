@@ -18,6 +18,7 @@ from raystream.machines.ray_block import RayBlock, blocks
 from raystream.machines.records import RayState
 from raystream.stepper.maps import map_of
 from raystream.stepper.structure_map import LocalSpot, Records, StructureMap
+from raystream.stepper.tree_walk import Place, TreeMap, visits
 from raystream.tracer import Tracer
 
 
@@ -29,11 +30,12 @@ class Spot(NamedTuple):
     number : int
         In a grid the cell's number (the second level follows the first); in a kd-tree the node's
         row; in a graph the sector's number; in a BVH the node's row, or for a leaf the number of
-        nodes plus its first block.
+        nodes plus its first block. In scenes with instances, spheres or height fields and in
+        float64, places are numbered as they are found.
     kind : str
-        ``"cell"``, ``"split"``, ``"node"``, ``"leaf"`` or ``"sector"``.
+        ``"cell"``, ``"split"``, ``"node"``, ``"leaf"``, ``"sector"`` or ``"instance"``.
     low, high : tuple of three float
-        Its box, world space.
+        Its box, world space; around the box of an instance's node, which may be turned.
     t_in, t_out : float
         In direction lengths. The interval of a ray that backtracks or restarts at the root ends
         where its search ends. The last cell of a grid along an axis is unbounded: its t_out may lie
@@ -73,6 +75,8 @@ class Step(NamedTuple):
         The stack, next entry first.
     counts : dict of str to int
         Increments of the ray's counts by the names of `RayCounters`.
+    instance_id : int
+        Of the hit, in a scene with instances.
     """
 
     kernel: str
@@ -86,6 +90,7 @@ class Step(NamedTuple):
     prim_id: int
     stack: tuple[Spot, ...]
     counts: dict[str, int]
+    instance_id: int = 0
 
 
 class Walk(NamedTuple):
@@ -107,6 +112,8 @@ class Walk(NamedTuple):
         The hit; inf and -1 for a miss.
     is_whole : bool
         Whether the walk is complete; else hit and counts are those so far.
+    instance_id : int
+        Of the hit, in a scene with instances.
     """
 
     structure: str
@@ -118,6 +125,7 @@ class Walk(NamedTuple):
     t: float
     prim_id: int
     is_whole: bool = True
+    instance_id: int = 0
 
     @property
     def cells(self) -> list[int]:
@@ -133,12 +141,16 @@ def walk(
     """Follow one ray to its nearest hit.
 
     The multipass machine traces the ray with one step per pass, and its streams are read after
-    each pass: the walk shows what the machine does.
+    each pass: the walk shows what the machine does. It has no such steps for scenes with instances,
+    spheres or height fields and for float64. There, the walk follows the trees of the BVH by the
+    rules of its traversal, with boxes tested in float64: one tree after another, and from the tree
+    over the instances into that of an object.
 
     Parameters
     ----------
     tracer : Tracer
-        With a grid, kd-tree, graph or BVH on the CPU, and any machine.
+        With a grid, kd-tree, graph or BVH on the CPU, and any machine. Of other kinds of scene
+        than triangles in float32: a BVH.
     origin, direction : array_like of shape (3,), real
         World space, scene units.
     max_steps : int, optional
@@ -167,16 +179,19 @@ def walk(
     """
     check_support("walk", tracer.structure.triangles)
     structure = tracer.structure
-    chart = map_of(structure)
     batch = RayBatch(origin, direction, 0.0, np.inf)
     if len(batch) != 1:
         raise ValueError(f"walk: expected one ray, got {len(batch):,}")
+    most = math.inf if max_steps is None else max_steps
+    if structure.triangles.kinds:
+        return _through_trees(tracer, origin, direction, most)
+    chart = map_of(structure)
     query = Query(Kind.FIRST_HIT, counters=True)
     sink = Sink.of(query, 1)
     (block,) = blocks(batch, structure.frame, sink.status, None)
     if sink.status[0]:
         raise ValueError(f"walk: the ray from {origin!r} in direction {direction!r} is invalid")
-    recorder = _Recorder(chart, block, math.inf if max_steps is None else max_steps)
+    recorder = _Recorder(chart, block, most)
     is_whole = True
     try:
         MultipassBackend(structure).observed_by(recorder.record).run_local(query, block.rays, sink)
@@ -196,6 +211,43 @@ def walk(
         int(hits.prim_id[0]),
         is_whole,
     )
+
+
+def _through_trees(
+    tracer: Tracer, origin: ArrayLike, direction: ArrayLike, max_steps: float
+) -> Walk:
+    """The walk through the trees of other kinds of scene than triangles in float32."""
+    structure = tracer.structure
+    if structure.name != "bvh":
+        raise ValueError(f"walk: expected a tracer of a bvh, got one of {structure.name!r}")
+    found = tracer.multi_hit(origin, direction)
+    if found.status.any():
+        raise ValueError(f"walk: the ray from {origin!r} in direction {direction!r} is invalid")
+    ids = zip(found.instance_id.tolist(), found.prim_id.tolist(), strict=True)
+    hits: dict[tuple[int, int], float] = {}
+    for key, t in zip(ids, found.t.tolist(), strict=True):
+        hits.setdefault(key, t)  # the first of two of a sphere
+    ray = np.array([origin, direction], np.float64).reshape(2, 3)
+    steps: list[Step] = []
+    counts, is_whole = dict.fromkeys(COLUMNS, 0), True
+    for one in visits(TreeMap(structure, ray).roots(), hits):
+        if len(steps) >= max_steps:
+            is_whole = False
+            break
+        at, to = (None if place is None else _spot(place) for place in (one.at, one.to))
+        stack = tuple(map(_spot, one.stack))
+        steps.append(Step(**{**one._asdict(), "at": at, "to": to, "stack": stack, "face": None}))
+        for name, added in one.counts.items():
+            counts[name] += added
+    last = (steps[-1].t, steps[-1].prim_id) if steps else (math.inf, -1)
+    ends = _triple(ray[0]), _triple(ray[1])
+    instance_id = steps[-1].instance_id if steps else -1
+    return Walk(structure.name, None, *ends, tuple(steps), counts, *last, is_whole, instance_id)
+
+
+def _spot(place: Place) -> Spot:
+    low, high = place.box
+    return Spot(place.number, place.kind, _triple(low), _triple(high), place.t_in, place.t_out)
 
 
 class _MaxStepsError(Exception):

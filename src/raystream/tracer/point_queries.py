@@ -60,9 +60,6 @@ class PointQueries(RayCaster):
             If a shape does not fit, `max_distance` is negative or NaN, or the tracer's structure,
             device or machine does not support the query: ``structure="bvh"`` and ``"brute"`` on
             the branching machines of ``device="cpu"`` and ``"cuda"`` do.
-        RaystreamError
-            With ``device="cuda"``, if the scene has instances, spheres or height fields; or
-            with ``precision="float64"``.
         TypeError
             If an array does not hold real numbers.
         MemoryError

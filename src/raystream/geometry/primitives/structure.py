@@ -49,6 +49,11 @@ class PrimitiveStructure(Structure):
     options : StructureOptions
     progress : callable, optional
         Called with (triangles and spheres placed, triangles and spheres).
+
+    Attributes
+    ----------
+    levels : list of Levels
+        The trees of the height fields.
     """
 
     make_searches = staticmethod(primitive_searches)
@@ -65,9 +70,9 @@ class PrimitiveStructure(Structure):
             triangles.triangles, options, progress=part_of(progress, 0, count, total)
         )
         local = triangles.local_fields
-        self._levels = [field_levels(one) for one in local]
+        self.levels = [field_levels(one) for one in local]
         field_nodes, field_rows = self._tree_over(_field_boxes(triangles), 1, None)
-        fields = triangles.fields, local, self._levels, triangles.first_fields
+        fields = triangles.fields, local, self.levels, triangles.first_fields
         sphere_boxes, own = _sphere_boxes(triangles), part_of(progress, count, total - count, total)
         sphere_nodes, sphere_rows = self._tree_over(sphere_boxes, SPHERES_PER_BLOCK, own)
         first = int(triangles.first_fields[-1])
@@ -80,7 +85,7 @@ class PrimitiveStructure(Structure):
         }
         self.view = self._make_addresses()
         field_bytes = sum(
-            a.byte_count + t.ranges.nbytes for a, t in zip(local, self._levels, strict=True)
+            a.byte_count + t.ranges.nbytes for a, t in zip(local, self.levels, strict=True)
         )
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
@@ -125,7 +130,7 @@ class PrimitiveStructure(Structure):
     def nested(self) -> Nested:
         """The height fields' arrays, to which records point."""
         fields = (array for one in self.triangles.local_fields for array in one)
-        levels = (array for one in self._levels for array in one)
+        levels = (array for one in self.levels for array in one)
         return Nested((*fields, *levels), {"fields": FIELD_ADDRESSES})
 
     def quality(self) -> dict[str, float]:
