@@ -62,13 +62,12 @@ class _DeviceLibrary(JITCodeLibrary):
     def _get_module_for_linking(self) -> Any:
         """The code with that of all callees, each linked once and not at each level."""
         if self._shared_module is None:
+            found: dict[Any, None] = {}
+            _find_callees(self, found)
             self._shared_module = self._own_module().clone()
-            for library in _callees(self):
-                module = (
-                    library._own_module()
-                    if isinstance(library, _DeviceLibrary)
-                    else library._get_module_for_linking()
-                )
+            for library in list(found)[-2::-1]:  # callers before callees, after this one
+                is_device = isinstance(library, _DeviceLibrary)
+                module = library._own_module() if is_device else library._get_module_for_linking()
                 self._shared_module.link_in(module, preserve=True)
         return self._shared_module
 
@@ -90,17 +89,15 @@ class _DeviceLibrary(JITCodeLibrary):
         return SimpleNamespace(set_env=lambda name, environment: None)
 
 
-def _callees(library: Any) -> list[Any]:
-    """The libraries that a device function needs, at all levels."""
-    found: dict[Any, None] = {}
-    left = list(library._linking_libraries)
-    while left:
-        each = left.pop(0)
-        if each not in found:
-            found[each] = None
-            if isinstance(each, _DeviceLibrary):
-                left += each._linking_libraries
-    return list(found)
+def _find_callees(library: Any, found: dict[Any, None]) -> None:
+    """Add all libraries that one needs, each before those that need it, and then itself.
+
+    They must be linked in the opposite order: LLVM leaves out a function that nothing calls yet.
+    """
+    if library not in found:
+        for callee in library._linking_libraries if isinstance(library, _DeviceLibrary) else ():
+            _find_callees(callee, found)
+        found[library] = None
 
 
 class _Lower(Lower):
