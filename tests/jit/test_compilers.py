@@ -1,6 +1,7 @@
 from typing import Any, NamedTuple
 
 from raystream.jit.cpu import device, device_call, kernel
+from raystream.jit.intrinsics import no_inline
 from raystream.jit.user_loops import as_device
 
 
@@ -16,6 +17,7 @@ def double(x):
 
 @device_call
 def apply(choice, x):
+    no_inline()
     return choice.function(x) + choice.amount
 
 

@@ -3,7 +3,8 @@
 Numba optimises each function and emits machine code for it, also for those that are inlined into
 every caller and that Python never calls. That is a quarter of a first image's compile time.
 Here a device function ends as LLVM code, which each kernel that calls it links in, optimises as
-a part of itself, and emits. The cyclic garbage collector, another tenth, is paused meanwhile.
+a part of itself, and emits; those of raystream go through fewer passes. The cyclic garbage
+collector, another tenth, is paused meanwhile.
 """
 
 from __future__ import annotations
@@ -100,20 +101,26 @@ def _find_callees(library: Any, found: dict[Any, None]) -> None:
         found[library] = None
 
 
-class _Lower(Lower):
-    """Numba's translation to LLVM code, where functions have no value: they are called by type.
+def _is_device(function: Any) -> bool:
+    return bool(function.targetoptions.get("no_cfunc_wrapper"))
 
-    Numba writes their addresses in this process into the code, which then cannot be cached if one
-    remains: in a record that is passed to a function that is not inlined.
+
+class _Lower(Lower):
+    """Numba's translation to LLVM code, where device functions have no address.
+
+    They are called by type and have no code of their own. Numba writes the address of their Python
+    object into the code, which cannot be cached if one remains, as in a record that is passed to
+    a function that is not inlined.
     """
 
     def lower_assign(self, ty: Any, inst: Any) -> Any:
+        """Lower an assignment."""
         if isinstance(inst.value, ir.Global | ir.FreeVar):
             return self._constant(ty, inst.value.value)
         return super().lower_assign(ty, inst)
 
     def _constant(self, type_: Any, value: Any) -> Any:
-        if isinstance(type_, types.Dispatcher):
+        if isinstance(type_, types.Dispatcher) and _is_device(type_.dispatcher):
             return self.context.get_constant_null(type_)
         if isinstance(type_, types.BaseTuple):
             members = [self._constant(*each) for each in zip(type_, value, strict=True)]
@@ -152,8 +159,8 @@ class _KernelLowering(NativeLowering):
         return True
 
 
-#: Numba's passes for functions without closures, comprehensions, `literal_unroll`, `with`,
-#: array expressions and object mode: two in three.
+#: Those of Numba's 27 passes that serve functions without closures, comprehensions, ``with``,
+#: `literal_unroll`, expressions of arrays, and exceptions with values.
 _DEVICE_PASSES = (
     TranslateByteCode,
     FixupArgs,
