@@ -46,6 +46,8 @@ from numba.core.untyped_passes import (
 class _DeviceLibrary(JITCodeLibrary):
     """LLVM code of a device function, to be linked into kernels with that of its callees."""
 
+    _shared_module: Any
+
     def _optimize_functions(self, ll_module: Any) -> None:
         """Run the same passes as Numba, but prepare them once and not for each declaration."""
         ll_module.data_layout = self._codegen._data_layout
