@@ -10,7 +10,7 @@ from llvmlite.binding import get_host_cpu_features
 from numba.core import config
 
 from raystream.jit.cache import keep_on_disk
-from raystream.jit.compilers import DeviceCompiler, KernelCompiler
+from raystream.jit.compilers import DeviceCompiler, KernelCompiler, UserCompiler
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -39,7 +39,6 @@ if config.ENABLE_CUDASIM and config.CPU_FEATURES is None:
 _DEVICE: dict[str, Any] = {
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-    "pipeline_class": DeviceCompiler,
 }
 
 
@@ -59,11 +58,21 @@ def kernel(function: Function) -> Function:
 
 
 def device(function: Function) -> Function:
-    """Compile a function that kernels call; it is inlined into each of them."""
-    return numba.njit(forceinline=True, **_DEVICE, **FLAGS)(function)
+    """Compile a function that kernels call; it is inlined into each of them.
+
+    It has no closures, comprehensions or expressions of arrays: see `compilers`.
+    """
+    return numba.njit(forceinline=True, pipeline_class=DeviceCompiler, **_DEVICE, **FLAGS)(function)
+
+
+def user_device(function: Function) -> Function:
+    """Compile a user's function as `device` does, with all that Numba supports."""
+    return numba.njit(forceinline=True, pipeline_class=UserCompiler, **_DEVICE, **FLAGS)(function)
 
 
 def device_call(function: Function) -> Function:
     """Compile a function that kernels call without inlining it: for rare, long branches."""
     # Said, because a function that does not say takes the flag of the one that calls it.
-    return numba.njit(forceinline=False, **_DEVICE, **FLAGS)(function)
+    return numba.njit(forceinline=False, pipeline_class=DeviceCompiler, **_DEVICE, **FLAGS)(
+        function
+    )

@@ -10,14 +10,16 @@ from typing import Any
 import numba
 from numba.core.errors import NumbaError
 
-from raystream.jit.cpu import device
+from raystream.jit.cpu import user_device
 from raystream.jit.fingerprint import fingerprint
 from raystream.jit.from_source import kernel_from_source
 
 
 def as_device(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a Python function for use in a loop; compiled functions are returned as they are."""
-    return function if isinstance(function, numba.core.dispatcher.Dispatcher) else device(function)
+    if isinstance(function, numba.core.dispatcher.Dispatcher):
+        return function
+    return user_device(function)
 
 
 class Loop:
