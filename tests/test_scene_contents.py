@@ -26,6 +26,8 @@ SAYS = {
     "spheres": "scene with spheres",
     "fields": "scene with height fields",
     "float64": "precision='float64'",
+    "placed spheres": "spheres",
+    "placed fields": "height fields",
 }
 
 
@@ -34,12 +36,14 @@ def tracer_of(kind: str, structure: str = "bvh", device: str = "cpu") -> rs.Trac
     box = rs.load("cornell")
     if kind == "float64":
         return rs.Tracer(box, structure, device, precision="float64")
-    if kind == "spheres":
+    if kind.endswith("spheres"):
         ball = rs.Scene.spheres([[278, 273, 280]], 50.0)
-        return rs.Tracer(rs.Scene.combine([box, ball], camera=box.camera), structure, device)
-    if kind == "fields":
+        box = rs.Scene.combine([box, ball], camera=box.camera)
+    if kind.endswith("fields"):
         ground = rs.Scene.height_field(np.zeros((3, 3)), origin=(200, 200, 1), spacing=50.0)
-        return rs.Tracer(rs.Scene.combine([box, ground], camera=box.camera), structure, device)
+        box = rs.Scene.combine([box, ground], camera=box.camera)
+    if kind in ("spheres", "fields"):
+        return rs.Tracer(box, structure, device)
     worlds = [0, 0] if kind == "worlds" else None
     transforms = np.tile(np.eye(4)[:3], (2, 1, 1))
     transforms[1, 0, 3] = 2000.0
@@ -201,7 +205,8 @@ def check_feature(feature: str, kind: str, tracer: rs.Tracer, path: Path) -> Non
     with pytest.raises((rs.RaystreamError, ValueError)) as caught:
         run(tracer, path)
     said = SAYS[kind] if feature != "worlds" else "worlds: expected None"
-    assert said in str(caught.value) or (kind == "worlds" and "instances" in str(caught.value))
+    is_placed = kind == "worlds" or kind.startswith("placed")
+    assert said in str(caught.value) or (is_placed and "instances" in str(caught.value))
 
 
 def _names(named: str) -> list[str]:

@@ -1,44 +1,66 @@
-"""InstancedTriangles: the triangles of objects that are placed by instances."""
+"""InstancedTriangles: the geometry of objects that are placed by instances."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
-from raystream.core.instances import Instances
+from raystream.core.instances import Instances, moved
+from raystream.core.primitives import PrimitiveStore
 from raystream.core.solid_parts import SolidPart
+from raystream.core.spheres import Spheres
 from raystream.core.store import Store
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
+
+if TYPE_CHECKING:
+    from raystream.core.hits import HitColumns
+
+#: Numbers that kernels have for a triangle of a mesh, for one of a height field, and for a sphere.
+_NUMBERS = np.array([1, 1, 2])
 
 #: Boxes of closed objects are grown by this much of their size: more than points round.
 _BOX_GROWTH = 2.0**-20
 
 
-class InstancedTriangles(Store):
-    """The triangles of a scene's objects, each in a local frame of its own, and their instances.
+class _ObjectHits(NamedTuple):
+    """Hits of an object, as methods of its store take them."""
 
-    ``prim_id`` counts the triangles of the objects, however often they are placed. Kernels count
-    those of all instances, one instance after another: `split_ids` converts, and for many hits
-    `geometry.instances.hit_ids`.
+    prim_id: NDArray[np.int32]
+    u: NDArray[Any]
+    v: NDArray[Any]
+    instance_id: NDArray[np.int32]
+
+
+class InstancedTriangles(PrimitiveStore):
+    """The geometry of a scene's objects, each in a local frame of its own, and their instances.
+
+    ``prim_id`` counts the triangles of the objects' meshes, then those of their height fields, then
+    their spheres, however often they are placed. Kernels count the numbers of all instances, one
+    instance after another: `split_ids` converts, and for many hits `geometry.instances.hit_ids`.
 
     Parameters
     ----------
-    objects : sequence of Triangles
+    objects : sequence of Store
+        Without instances.
     instances : Instances
     mesh_splits : ndarray of shape (M + 1,), int64
-        Mesh i of the scene owns the prim_ids in [mesh_splits[i], mesh_splits[i + 1]).
+        Mesh i of the scene owns the prim_ids in [mesh_splits[i], mesh_splits[i + 1]); see
+        `Primitives`.
     attributes : Attributes
         Of the meshes.
 
     Attributes
     ----------
+    parts : ndarray of shape (O, 3, 2), int64
+        Of the triangles of each object's meshes, those of its height fields, and its spheres: the
+        first one's number in the object, and its prim_id.
     first_prims : ndarray of shape (O + 1,), int64
-        Object i owns the prim_ids in [first_prims[i], first_prims[i + 1]).
+        Object i owns the triangles of meshes in [first_prims[i], first_prims[i + 1]).
     first_ids : ndarray of shape (K + 1,), int64
         Instance k owns the numbers in [first_ids[k], first_ids[k + 1]).
 
@@ -54,53 +76,69 @@ class InstancedTriangles(Store):
 
     def __init__(
         self,
-        objects: Sequence[Triangles],
+        objects: Sequence[Store],
         instances: Instances,
         mesh_splits: NDArray[np.int64],
         attributes: Attributes,
     ) -> None:
         self.objects, self.instances = tuple(objects), instances
         self.world_count = instances.world_count
-        self.kinds = ("instances", "worlds") if self.world_count else ("instances",)
         self.mesh_splits, self.attributes = mesh_splits, attributes
-        counts = np.array([len(one) for one in self.objects], np.int64)
-        self.first_prims = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        held: list[Any] = [one for one in self.objects if one.has_primitives]
+        self.has_primitives = bool(held)
+        self.fields = tuple(field for one in held for field in one.fields)
+        self.spheres = Spheres.joined(one.spheres for one in held)
+        self.kinds = self._kinds()
+        counts = np.array([one.part_counts for one in self.objects], np.int64).reshape(-1, 3)
+        own, totals = counts * _NUMBERS, counts.sum(axis=0)
+        numbers = np.cumsum(own, axis=1) - own
+        prims = np.cumsum(counts, axis=0) - counts + np.cumsum(totals) - totals
+        self.parts = np.stack([numbers, prims], axis=2)
+        self.first_prims = np.concatenate([[0], np.cumsum(counts[:, 0])]).astype(np.int64)
+        self.first_fields = np.cumsum([totals[0], *map(len, self.fields)]).astype(np.int64)
         ids = instances.object_ids
         if len(ids) and not (ids.min() >= 0 and ids.max() < len(counts)):
             bad = int(np.argmax((ids < 0) | (ids >= len(counts))))
             raise ValueError(
                 f"object_ids: instance {bad} has object {ids[bad]}, but there are {len(counts):,}"
             )
-        self.first_ids = np.concatenate([[0], np.cumsum(counts[ids])]).astype(np.int64)
+        own_counts = own.sum(axis=1)[ids]
+        self.first_ids = np.concatenate([[0], np.cumsum(own_counts)]).astype(np.int64)
         if self.first_ids[-1] > MAX_TRIANGLES:
             raise ValueError(
                 f"scene: {self.first_ids[-1]:,} triangles in all instances are more than "
                 f"{MAX_TRIANGLES:,}"
             )
 
-    def _mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
-        """The parts are the instances; or, where one has no mask, the meshes of its object."""
-        own, masks = self.instances.masks, self.attributes.masks
+    def _kinds(self) -> tuple[str, ...]:
+        """Instances, and those of each kind of object."""
+        placed = sorted({f"placed {kind}" for one in self.objects for kind in one.kinds})
+        return ("instances", *["worlds"][: self.world_count], *placed)
+
+    def mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
+        """The parts are the instances; or, where one has no mask, the parts of its object."""
+        own = self.instances.masks
         if own is None:
             own = np.zeros(len(self.instances), np.uint32)
         if own.all():
             return self.first_ids[:-1], own
-        meshes = np.searchsorted(self.mesh_splits, self.first_prims)
+        held = [one.mask_parts() for one in self.objects]
+        firsts, masks = (np.concatenate(column) for column in zip(*held, strict=True))
+        sizes = np.array([len(first) for first, _ in held])
         ids = self.instances.object_ids
-        counts = np.diff(meshes)[ids]
+        counts = sizes[ids]
         instance = np.repeat(np.arange(len(ids)), counts)
         within = np.arange(len(instance)) - np.repeat(np.cumsum(counts) - counts, counts)
-        mesh = meshes[ids][instance] + within
-        firsts = self.mesh_splits[mesh] - self.first_prims[ids][instance]
-        chosen = np.where(own[instance] > 0, own[instance], masks[mesh])
-        return self.first_ids[instance] + firsts, chosen
+        row = (np.cumsum(sizes) - sizes)[ids][instance] + within
+        chosen = np.where(own[instance] > 0, own[instance], masks[row])
+        return self.first_ids[instance] + firsts[row], chosen
 
     def moved(self, instances: Instances) -> InstancedTriangles:
         """The same objects, with instances elsewhere."""
         return InstancedTriangles(self.objects, instances, self.mesh_splits, self.attributes)
 
     def __len__(self) -> int:
-        return int(self.first_prims[-1])
+        return int(self.first_fields[-1]) + len(self.spheres)
 
     @property
     def number_count(self) -> int:
@@ -149,12 +187,12 @@ class InstancedTriangles(Store):
         return arrays | {"mesh_splits": self.mesh_splits}
 
     def object_corners(self) -> NDArray[np.float32]:
-        """Corners of all objects' triangles, by prim_id, shape (F, 3, 3), float32.
+        """Corners of all triangles of meshes, by prim_id, shape (F, 3, 3), float32.
 
         Each object's in its own local frame.
         """
-        none = np.zeros((0, 3, 3), np.float32)
-        return np.concatenate([none, *(one.corners for one in self.objects)])
+        none, held = np.zeros((0, 3, 3), np.float32), self.objects
+        return np.concatenate([none, *(one.object_corners() for one in held)])
 
     def some(self, most: int) -> Triangles:
         """Some triangles where the instances are, in world space; all if they are few.
@@ -162,14 +200,31 @@ class InstancedTriangles(Store):
         Parameters
         ----------
         most : int
-            How many, at most. They are spread evenly over the numbers of all triangles.
+            How many, at most. They are spread evenly over the numbers of all triangles. Where
+            there are spheres, some of some instances.
         """
+        if self.has_primitives:
+            return self._some_primitives(most)
         total = self.number_count
         numbers = np.arange(0, total, max(1, -(-total // most)), dtype=np.int32)
         prim_id, instance_id = self.split_ids(numbers)
         points = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
         faces = np.arange(3 * len(numbers), dtype=np.int32).reshape(-1, 3)
         return Triangles([(points.reshape(-1, 3), faces)])
+
+    def _some_primitives(self, most: int) -> Triangles:
+        """Triangles near the primitives of instances, in world space."""
+        placed, points = self.instances, [np.zeros((0, 3))]
+        step = max(1, -(-2 * len(placed) // most))
+        share = max(2, most // max(1, -(-len(placed) // step)))
+        held = {k: self.objects[k] for k in set(placed.object_ids[::step].tolist())}
+        some = {k: one.some(share) if one.has_primitives else one for k, one in held.items()}
+        for k, matrix in zip(placed.object_ids[::step], placed.transforms[::step], strict=True):
+            near: Any = some[int(k)]
+            own = near.to_world(near.corners[:: max(1, len(near) // share)]).reshape(-1, 3)
+            points.append(own @ matrix[:, :3].T + matrix[:, 3])
+        vertices = np.concatenate(points)
+        return Triangles([(vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3))])
 
     @property
     def degenerate_count(self) -> int:
@@ -224,7 +279,7 @@ class InstancedTriangles(Store):
             column = transforms[:, :, k]
             center += column * centers[ids, k, None]
             half += np.abs(column) * halves[ids, k, None]
-        is_empty = np.array([len(one.prim_ids) == 0 for one in self.objects], bool)
+        is_empty = np.array([one.is_empty for one in self.objects], bool)
         return center - half, center + half, is_empty[ids]
 
     def split_ids(self, numbers: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -241,43 +296,92 @@ class InstancedTriangles(Store):
         found = np.where(is_hit, instance_id, 0)
         if len(self.instances) == 0:
             return np.array(numbers), instance_id
-        offset = self.first_prims[self.instances.object_ids[found]] - self.first_ids[found]
-        return np.where(is_hit, numbers + offset, -1).astype(np.int32), instance_id
+        objects, own = self.instances.object_ids[found], numbers - self.first_ids[found]
+        if not self.has_primitives:
+            return np.where(is_hit, own + self.first_prims[objects], -1).astype(np.int32), (
+                instance_id
+            )
+        part = (own >= self.parts[objects, 1, 0]).astype(np.int64)
+        part += own >= self.parts[objects, 2, 0]
+        numbers_before, prims_before = np.moveaxis(self.parts[objects, part], -1, 0)
+        prims = prims_before + ((own - numbers_before) >> (part == 2))
+        return np.where(is_hit, prims, -1).astype(np.int32), instance_id
+
+    def parts_of(self, prim_id: NDArray[Any]) -> NDArray[np.int64]:
+        """0 for the triangles of meshes, 1 for those of height fields, 2 for spheres."""
+        is_beside = (prim_id >= self.first_fields[0]).astype(np.int64)
+        return is_beside + (prim_id >= self.first_fields[-1])
 
     def numbers_of(
         self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
     ) -> NDArray[np.int64]:
-        """The numbers of triangles among those of all instances; of misses -1."""
+        """The numbers of triangles, or of where rays enter spheres, of instances; of misses -1."""
         numbers = np.full(prim_id.shape, -1, np.int64)
         is_hit = prim_id >= 0
-        ids = instance_id[is_hit]
-        first_prims = self.first_prims[self.instances.object_ids[ids]]
-        numbers[is_hit] = prim_id[is_hit] - first_prims + self.first_ids[ids]
+        ids, prims = instance_id[is_hit], prim_id[is_hit]
+        part = self.parts_of(prims)
+        places = self.parts[self.instances.object_ids[ids], part]
+        within = (prims - places[:, 1]) * _NUMBERS[part]
+        numbers[is_hit] = self.first_ids[ids] + places[:, 0] + within
         return numbers
+
+    def are_of(
+        self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
+    ) -> NDArray[np.bool_]:
+        """Whether primitives are of the objects of instances."""
+        found = self.split_ids(self.numbers_of(prim_id, instance_id))
+        return (found[0] == prim_id) & (found[1] == instance_id)
+
+    def _within(self, k: int, prim_id: NDArray[Any]) -> NDArray[np.int32]:
+        """The prim_ids in object k of those in the scene."""
+        places = self.parts[k, self.parts_of(prim_id)]
+        return (prim_id - places[:, 1] + places[:, 0]).astype(np.int32)
 
     def solid_numbers(self) -> NDArray[np.int64]:
         """The numbers of triangles that can be hit, increasing."""
-        ids, none = self.instances.object_ids, np.zeros(0, np.int64)
-        parts = [none]
+        return self._placed_numbers([one.solid_numbers() for one in self.objects])
+
+    def face_numbers(self) -> NDArray[np.int64]:
+        """See `Store.face_numbers`; spheres have the number of where rays enter."""
+        held = []
         for k, one in enumerate(self.objects):
+            prims, first = one.face_numbers(), self.parts[k, 2, 0]
+            held.append(prims + np.maximum(prims - first, 0))
+        return self._placed_numbers(held)
+
+    def _placed_numbers(self, held: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
+        """Numbers in objects, as those of all instances, increasing."""
+        ids, parts = self.instances.object_ids, [np.zeros(0, np.int64)]
+        for k, numbers in enumerate(held):
             firsts = self.first_ids[:-1][ids == k]
-            parts.append((firsts[:, None] + one.prim_ids).reshape(-1))
-        numbers = np.concatenate(parts)
-        numbers.sort()
-        return numbers
+            parts.append((firsts[:, None] + numbers).reshape(-1))
+        found = np.concatenate(parts)
+        found.sort()
+        return found
 
     def solid_parts(self) -> list[SolidPart]:
-        """The object of each instance; see `Store`."""
-        firsts = np.searchsorted(self.mesh_splits, self.first_prims[:-1], side="right") - 1
+        """The parts of the object of each instance; see `Store`."""
         low, high, is_empty = self.boxes(_BOX_GROWTH)
+        parts = [self._object_parts(k) for k in range(len(self.objects))]
         ids, inverses = self.instances.object_ids.tolist(), self.instances.inverses
         return [
-            SolidPart(self.objects[k], int(firsts[k]), inverse, np.array([below, above]))
+            part._replace(inverse=inverse, box=np.array([below, above]))
             for k, inverse, below, above, hidden in zip(
                 ids, inverses, low, high, is_empty, strict=True
             )
             if not hidden
+            for part in parts[k]
         ]
+
+    def _object_parts(self, k: int) -> list[SolidPart]:
+        """The parts of an object, with the scene's meshes."""
+        one, found = self.objects[k], []
+        for part in one.solid_parts():
+            number, prim_id = self.parts[k, int(part.open_kind is not None)]
+            first = one.mesh_splits[part.first_mesh] - number + prim_id
+            mesh = int(np.searchsorted(self.mesh_splits, first, side="right")) - 1
+            found.append(part._replace(first_mesh=mesh))
+        return found
 
     # Geometry of hits, each in the frame of its object.
 
@@ -288,8 +392,68 @@ class InstancedTriangles(Store):
         prims = prim_id.reshape(-1)
         corners = np.full((len(prims), 3, 3), np.nan)
         for k, rows in self._by_object(instance_id):
-            corners[rows] = self.objects[k].corners[prims[rows] - self.first_prims[k]]
+            own = self._within(k, prims[rows])
+            corners[rows] = self.objects[k].corners_at(own, np.zeros_like(own))
         return corners.reshape(*prim_id.shape, 3, 3)
+
+    def _of_objects(
+        self, hits: HitColumns, measure: Callable[[Any, Any], NDArray[Any]], *tail: int
+    ) -> NDArray[np.float64]:
+        """``measure(object, its hits)`` of all hits; NaN for misses."""
+        columns = [one.reshape(-1) for one in (hits.prim_id, hits.u, hits.v)]
+        found = np.full((len(columns[0]), *tail), np.nan)
+        for k, rows in self._by_object(hits.instance_id):
+            prims, u, v = (one[rows] for one in columns)
+            own = self._within(k, prims)
+            part = _ObjectHits(own, u, v, np.zeros_like(own))
+            found[rows] = measure(self.objects[k], part)
+        return found.reshape(*hits.prim_id.shape, *tail)
+
+    def planes_at(self, hits: HitColumns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """See `Store.planes_at`."""
+        normals = self.normals_to_world(self.local_normals(hits), hits.instance_id)
+        return normals, self.local_sizes(hits)
+
+    def local_sizes(self, hits: HitColumns) -> NDArray[np.float64]:
+        """Sizes of what is hit in their objects' local frames; see `Store.planes_at`."""
+        return self._of_objects(hits, lambda one, held: one.planes_at(held)[1])
+
+    def local_positions(self, hits: HitColumns) -> NDArray[np.float64]:
+        """Points of hits in their objects' local frames; see `Store`."""
+        return self._of_objects(hits, lambda one, held: one.local_positions(held), 3)
+
+    def local_normals(self, hits: HitColumns) -> NDArray[np.float64]:
+        """Unit normals of hits in object space; see `Store`."""
+        return self._of_objects(hits, lambda one, held: one.local_normals(held), 3)
+
+    def flat_corners(self, hits: HitColumns) -> NDArray[np.float32]:
+        """See `Primitives.flat_corners`; in mirrored instances the same side is the front."""
+        ids = hits.instance_id
+        inside = self._of_objects(hits, lambda one, held: one.flat_corners(held), 3, 3)
+        corners = (self.points_to_world(inside, ids) - self.center) * self.scale
+        turned = self.are_mirrored(ids)
+        corners[turned] = corners[turned][:, [0, 2, 1]]
+        corners[hits.prim_id < 0] = 0.0
+        return corners.astype(np.float32)
+
+    def are_mirrored(self, instance_id: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Whether instances mirror their objects."""
+        linear = self.instances.transforms[:, :, :3]
+        largest = np.abs(linear).max(axis=(1, 2), keepdims=True)
+        return np.asarray(np.linalg.det(linear / largest) < 0.0)[instance_id]
+
+    def spawned(self, hits: HitColumns, directions: NDArray[Any]) -> NDArray[np.float64]:
+        """Origins of rays that leave hits, world space; see `Hits.spawn`."""
+        origins = super().spawned(hits, directions)
+        is_sphere, rows, normals = self._on_spheres(hits)
+        if len(rows):
+            ids = hits.instance_id[is_sphere]
+            scales = np.array([one.scale for one in self.objects])
+            far = self.reaches_at(ids)[1] / scales[self.instances.object_ids[ids]]
+            own = self.directions_to_local(directions[is_sphere], ids)
+            points, matrices = self._beside(rows, normals, own, far), self.instances.transforms[ids]
+            origins[is_sphere] = moved(matrices, points)
+        return origins
 
     def points_to_world(
         self, points: NDArray[np.float64], instance_id: NDArray[np.int32]
@@ -350,11 +514,18 @@ class InstancedTriangles(Store):
             matrices = np.abs(self.instances.transforms[ids[rows]])
             inverses = np.abs(self.instances.inverses[ids[rows]])
             inside = np.full((len(rows), 3), np.abs(one.world_bounds).max())
-            world = _product(matrices[:, :, :3], inside) + matrices[:, :, 3]
-            terms = _product(inverses[:, :, :3], world) + inverses[:, :, 3]
+            terms = moved(inverses, moved(matrices, inside))
             extent[rows] = float(one.max_coordinate)
             far[rows] = (terms.max(axis=1) + np.abs(one.center).max()) * one.scale
         return extent.reshape(instance_id.shape), far.reshape(instance_id.shape)
+
+    def world_lengths(
+        self, lengths: NDArray[np.float64], instance_id: NDArray[np.int32]
+    ) -> NDArray[np.float64]:
+        """See `Store.world_lengths`."""
+        longest = np.linalg.norm(self.instances.transforms[instance_id, :, :3], axis=(-2, -1))
+        scales = np.array([one.scale for one in self.objects])
+        return longest * lengths / scales[self.instances.object_ids[instance_id]]
 
     def _by_object(self, instance_id: NDArray[np.int32]) -> list[tuple[int, NDArray[np.int64]]]:
         """The objects that are hit, and the rows of the hits of each, in the flattened array."""

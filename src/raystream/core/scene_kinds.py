@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from raystream.core.store import Store
 
 #: Kinds of scene besides triangles in float32: what is said of each where it is not supported.
-#: A scene may be of several; those in worlds also have instances.
+#: A scene may be of several; those in worlds, and of placed kinds, also have instances.
 REFUSALS: Mapping[str, str] = MappingProxyType(
     {
         "instances": "not supported in a scene with instances; scene.flattened() is the same scene "
@@ -22,6 +22,8 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
         "spheres": "not supported in a scene with spheres",
         "fields": "not supported in a scene with height fields",
         "float64": "not supported with precision='float64'",
+        "placed spheres": "not supported in a scene with instances of spheres",
+        "placed fields": "not supported in a scene with instances of height fields",
     }
 )
 
@@ -31,7 +33,9 @@ MACHINE_REFUSAL = "not supported with"
 _ALL = tuple(REFUSALS)
 _PLACED = ("instances", "worlds")
 _PRIMITIVES = ("spheres", "fields")
-_ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
+_BOTH = ("placed spheres", "placed fields")
+_ONE = ("instances", *_PRIMITIVES, "float64")
+_ONE_WORLD = (*_ONE, *_BOTH)
 
 # Why a kind of scene lacks a feature.
 _TRIANGLES = "written for triangles of one local frame in float32"
@@ -43,6 +47,7 @@ _BOXES = "steps are shown for one tree over triangles"
 _COUNTS = "its traversal does not count"
 _SHADING = "shading reads triangles in float32"
 _SETS = "worlds are sets of instances"
+_DEVICE = "its traversal on the device finds triangles in instances"
 
 
 class Feature(NamedTuple):
@@ -77,13 +82,15 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "structure='bvh'": Feature(_ALL),
         "structure='brute'": Feature(_ALL),
         "device='cpu', machine='branching'": Feature(_ALL),
-        "device='cuda', machine='branching'": Feature(_ALL, '``device="cuda"``'),
+        "device='cuda', machine='branching'": Feature(
+            (*_ONE, "worlds"), '``device="cuda"``', _DEVICE
+        ),
         "device='graphics', machine='compute'": Feature(_PLACED),
-        "worlds": Feature(_PLACED, "``worlds=``", _SETS),
-        "counters=True": Feature((*_PLACED, *_PRIMITIVES), "``counters=True``", _COUNTS),
+        "worlds": Feature((*_PLACED, *_BOTH), "``worlds=``", _SETS),
+        "counters=True": Feature((*_PLACED, *_PRIMITIVES, *_BOTH), "``counters=True``", _COUNTS),
         "on_hit, skip_prim_ids": Feature(_ALL, "``on_hit=``, ``skip_prim_ids=``"),
         "trace": Feature(_ALL, "`Tracer.trace`"),
-        "mask": Feature((*_PLACED, *_PRIMITIVES), "``mask=``", _PROGRAM),
+        "mask": Feature((*_PLACED, *_PRIMITIVES, *_BOTH), "``mask=``", _PROGRAM),
         "update": Feature(
             _ALL,
             "`Tracer.update`",
@@ -97,7 +104,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "materials that are not opaque": Feature(
             _ALL, "`render`, with materials that are not opaque"
         ),
-        "heatmap": Feature(("instances", *_PRIMITIVES), "`heatmap`", _COUNTS),
+        "heatmap": Feature(("instances", *_PRIMITIVES, *_BOTH), "`heatmap`", _COUNTS),
         "lidar_returns": Feature(_ONE_WORLD, "`lidar_returns`, `lidar_sweep`"),
         "thickness": Feature(_ONE_WORLD, "`thickness`"),
         "visibility": Feature(_ONE_WORLD, "`visibility` between points"),
@@ -108,14 +115,15 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
         "view_factors": Feature(("fields", "float64"), "`view_factors`", _PATCHES),
         "closest points with device='cpu'": Feature(
-            _ONE_WORLD, '`closest_point`, `signed_distance`, with ``device="cpu"``'
+            _ONE, '`closest_point`, `signed_distance`, with ``device="cpu"``', _NEAREST
         ),
         "inside tests": Feature(
-            _ONE_WORLD,
+            _ONE,
             "`contains`",
+            _NEAREST,
             notes={"fields": '``method="winding"``: they are open surfaces'},
         ),
-        "winding numbers": Feature(_ONE_WORLD, "`winding_number`"),
+        "winding numbers": Feature(_ONE, "`winding_number`", _NEAREST),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
         "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
         "raystream.torch": Feature((), "`raystream.torch`", _TRIANGLES),

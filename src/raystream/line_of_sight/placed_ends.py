@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
 from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.spawn import REACH_UNITS, UNIT, WORLD_UNIT, plane_offset, size_of
+from raystream.core.spawn import REACH_UNITS, UNIT, WORLD_UNIT, plane_offset
 
 #: At a segment's far end rounding in the triangle test acts as if each vertex moved by at most
 #: about 6 units of its distance from the ray's origin (see `core.spawn`); and the direction is
@@ -76,7 +76,7 @@ def placed_planes(hits: Hits, triangles: InstancedTriangles) -> PlacedPlanes:
         return found
     some, instances = hits[rows], triangles.instances
     ids = some.instance_id
-    extents = size_of(triangles.corners_at(some.prim_id, ids))
+    extents = triangles.local_sizes(some)
     normals = triangles.local_normals(some)
     reach = np.abs(triangles.local_positions(some)).max(axis=-1)
     most, world = triangles.reaches_at(ids)

@@ -10,7 +10,12 @@ from typing import Any, NamedTuple
 from raystream.core.store import Store
 from raystream.programs.float64_hits import Float64At, float64_hit_of
 from raystream.programs.hits import SceneAt, hit_of
-from raystream.programs.placed import PlacedAt, is_placed_skipped, placed_hit_of
+from raystream.programs.placed import (
+    PlacedAt,
+    is_placed_skipped,
+    placed_hit_of,
+    placed_primitive_hit_of,
+)
 from raystream.programs.primitive_hits import PrimitivesAt, primitive_hit_of
 from raystream.programs.rows import is_skipped
 
@@ -49,6 +54,9 @@ class SceneForm(NamedTuple):
 
 TRIANGLES = SceneForm("", SceneAt, hit_of, skips_in_traversal=True)
 _PLACED = SceneForm("# with instances\n", PlacedAt, placed_hit_of, is_placed_skipped)
+_PLACED_PRIMITIVES = _PLACED._replace(
+    heading="# with instances of primitives\n", hit_of=placed_primitive_hit_of
+)
 _PRIMITIVES = SceneForm("# with primitives\n", PrimitivesAt, primitive_hit_of)
 
 
@@ -62,7 +70,7 @@ def _float64() -> SceneForm:
 def form_of(store: Store) -> SceneForm:
     """How programs read the hits of a scene."""
     if store.instances is not None:
-        return _PLACED
+        return _PLACED_PRIMITIVES if store.has_primitives else _PLACED
     if "spheres" in store.kinds or "fields" in store.kinds:
         return _PRIMITIVES
     return _float64() if "float64" in store.kinds else TRIANGLES

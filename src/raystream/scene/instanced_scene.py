@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
 from raystream.core.instances import Instances
 from raystream.scene.geometry import Geometry
-from raystream.scene.instancing import InstancedGeometry, Objects, placed_meshes
+from raystream.scene.instancing import InstancedGeometry, Objects, flattened_geometry
 
 if TYPE_CHECKING:
     from raystream.scene.material import Material
@@ -107,8 +106,9 @@ class InstancedScene:
         ([5, 6], True)
         """
         made = Objects.of(objects, (object_ids, transforms, worlds, names, masks), materials)
-        scene = cls(made.meshes, materials=made.materials, **parts)  # type: ignore[call-arg]
-        scene._geometry = InstancedGeometry(made.meshes, made.mesh_counts, made.instances)
+        geometry = InstancedGeometry(made.objects, made.instances)
+        scene = cls(geometry.meshes, materials=made.materials, **parts)  # type: ignore[call-arg]
+        scene._geometry = geometry
         return scene
 
     @property
@@ -127,8 +127,9 @@ class InstancedScene:
         others: Any = other._geometry
         if own.instances is None or others.instances is None:
             return type(own) is type(others)
-        is_same: bool = own.mesh_counts == others.mesh_counts
-        return is_same and all(map(operator.is_, own.meshes, others.meshes))
+        is_same = own.mesh_counts == others.mesh_counts and own.spheres.are_same(others.spheres)
+        parts = zip((*own.meshes, *own.fields), (*others.meshes, *others.fields), strict=False)
+        return is_same and all(one is other for one, other in parts)
 
     def with_transforms(self, transforms: Any) -> Self:
         """Copy the scene with its instances moved; the objects are shared.
@@ -152,6 +153,8 @@ class InstancedScene:
     def flattened(self) -> Self:
         """The same scene without instances: the meshes of each are copied to its place.
 
+        Height fields become meshes, and spheres remain spheres.
+
         Returns
         -------
         Scene
@@ -161,7 +164,7 @@ class InstancedScene:
         Raises
         ------
         ValueError
-            If the instances are in worlds.
+            If the instances are in worlds, or one makes ellipsoids of spheres.
         MemoryError
             If it does not fit into memory.
         """
@@ -170,7 +173,7 @@ class InstancedScene:
             return self
         if geometry.instances.worlds is not None:
             raise ValueError("flattened: the instances are in worlds, which may overlap")
-        return self._with(_geometry=Geometry(placed_meshes(geometry)))
+        return self._with(_geometry=flattened_geometry(geometry))
 
     def _with(self, **fields: Any) -> Self:
         scene = type(self).__new__(type(self))

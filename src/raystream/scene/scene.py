@@ -19,6 +19,7 @@ from raystream.scene.animation import FPS, Animation, Timeline
 from raystream.scene.camera import Camera, unit_vector
 from raystream.scene.camera_track import CameraMotion
 from raystream.scene.geometry import Geometry
+from raystream.scene.instancing import InstancedGeometry
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
@@ -155,15 +156,12 @@ class Scene(PrimitiveScene):
     def from_triangles(cls, triangles: Triangles) -> Scene:
         """Make a scene from a triangle store: the same triangles and meshes, nothing else."""
         store: Any = triangles
+        if store.instances is not None:
+            objects = [cls.from_triangles(one).geometry for one in store.objects]
+            return cls._of_geometry(InstancedGeometry(objects, store.instances))
         if store.has_primitives:
             of_meshes = cls.from_triangles(store.triangles).meshes
-            geometry = PrimitiveGeometry(of_meshes, store.fields, store.spheres)
-            materials = [Material()] * max(1, geometry.highest_material + 1)
-            return cls._of_primitives(geometry, {"materials": materials})
-        if store.instances is not None:
-            held = store.instances
-            objects = [list(cls.from_triangles(one).meshes) for one in store.objects]
-            return cls.instances(objects, held.transforms, held.object_ids, worlds=held.worlds)
+            return cls._of_geometry(PrimitiveGeometry(of_meshes, store.fields, store.spheres))
         ids = np.arange(len(triangles), dtype=np.int32)
         local: Any = triangles.corners_at(ids, ids) if triangles.kinds else triangles.corners
         corners = triangles.points_to_world(local, ids)
@@ -172,6 +170,12 @@ class Scene(PrimitiveScene):
             faces = np.arange(3 * (end - first), dtype=np.int32).reshape(-1, 3)
             meshes.append(Mesh(corners[first:end].reshape(-1, 3), faces))
         return cls().moved(meshes, triangles)
+
+    @classmethod
+    def _of_geometry(cls, geometry: Geometry) -> Scene:
+        """A scene of geometry alone, with as many materials as it uses."""
+        count = int(geometry.material_ids.max(initial=0)) + 1
+        return cls(materials=[Material()] * count)._with(_geometry=geometry)
 
     def replace(self, **changes: Unpack[_Parts]) -> Scene:
         """Copy the scene with some parts replaced; unchanged parts are shared.

@@ -85,9 +85,9 @@ def _float64(arrays: Arrays) -> Float64Triangles:
 
 
 def _instances(arrays: Arrays) -> InstancedTriangles:
-    objects: list[Triangles] = []
+    objects: list[Store] = []
     while own := _part(arrays, f"object{len(objects)}"):
-        objects.append(_triangles(own))
+        objects.append((_primitives if "spheres.radii" in own else _triangles)(own))
     placed = Instances(
         take(arrays, "object_ids", np.int32, (None,)),
         take(arrays, "transforms", np.float64, (None, 3, 4)),

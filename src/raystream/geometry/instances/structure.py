@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.query import Query
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.geometry.instances.batches import BATCH_KERNELS
@@ -39,16 +40,18 @@ from raystream.geometry.instances.traversal import (
     TopAddresses,
     instance_searches,
     traverse_all,
+    traverse_all_primitives,
     traverse_top,
+    traverse_top_primitives,
 )
+from raystream.geometry.primitives.traversal import STACK_BYTES as PRIMITIVE_BYTES
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import PAD, SceneFrame
 from raystream.structures.base import BuildReport, Nested, Structure
-from raystream.structures.brute.structure import BruteStructure
+from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.bvh.layout import NODE_BYTES
-from raystream.structures.bvh.structure import BvhStructure
-from raystream.structures.registry import StructureOptions
+from raystream.structures.registry import StructureOptions, builder_for
 
 _NO_NODES = np.zeros((0, 64), np.float32)
 
@@ -73,7 +76,8 @@ class InstancedStructure(Structure):
 
     make_searches = staticmethod(instance_searches)
     triangles: InstancedTriangles  # type: ignore[assignment]
-    _kind: type[Structure]  # of the objects
+    _name: str  # of the objects' structures
+    _of_primitives: type[InstancedStructure]
 
     def __init__(
         self, triangles: InstancedTriangles, objects: Sequence[Structure], options: StructureOptions
@@ -129,11 +133,13 @@ class InstancedStructure(Structure):
         progress : callable, optional
             Called with (triangles placed, triangles).
         """
-        objects = []
-        for one, first in zip(triangles.objects, triangles.first_prims, strict=False):
-            part = part_of(progress, int(first), len(one), len(triangles))
-            objects.append(cls._kind(one, options, progress=part))
-        return cls(triangles, objects, options)
+        objects, placed = [], 0
+        for one in triangles.objects:
+            part = part_of(progress, placed, len(one), len(triangles))
+            objects.append(builder_for(cls._name, one)(one, options, progress=part))
+            placed += len(one)
+        made = cls._of_primitives if triangles.has_primitives else cls
+        return made(triangles, objects, options)
 
     def _trees(self, boxes: Triangles) -> TopTrees:
         """The trees over the boxes."""
@@ -190,7 +196,7 @@ class InstancedStructure(Structure):
 class InstancedBvh(InstancedStructure):
     """A BVH over instances, and one for each object."""
 
-    _kind = BvhStructure
+    _name = "bvh"
     traverse = staticmethod(traverse_top)
     point_loop = staticmethod(find_in_trees)
     stack_bytes = 2 * STACK_BYTES
@@ -200,10 +206,18 @@ class InstancedBvh(InstancedStructure):
         return TopTrees.of(boxes, self.triangles.instances)
 
 
+class PlacedPrimitivesBvh(InstancedBvh):
+    """The same where objects have spheres or height fields: rays are traced one by one."""
+
+    traverse = staticmethod(traverse_top_primitives)
+    stack_bytes = STACK_BYTES + PRIMITIVE_BYTES
+    many_ray_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})
+
+
 class InstancedBrute(InstancedStructure):
     """Every instance, and every triangle of its object."""
 
-    _kind = BruteStructure
+    _name = "brute"
     traverse = staticmethod(traverse_all)
     point_loop = staticmethod(find_among_all)
 
@@ -211,6 +225,17 @@ class InstancedBrute(InstancedStructure):
     def tests_per_ray(self) -> int:
         """All instances, and the triangles of each."""
         return int(self.triangles.first_ids[-1]) + len(self.triangles.instances)
+
+
+class PlacedPrimitivesBrute(InstancedBrute):
+    """The same where objects have spheres or height fields."""
+
+    traverse = staticmethod(traverse_all_primitives)
+    stack_bytes = PRIMITIVE_BYTES
+
+
+InstancedBvh._of_primitives = PlacedPrimitivesBvh
+InstancedBrute._of_primitives = PlacedPrimitivesBrute
 
 
 def _tree_records(trees: TopTrees, leaves: NDArray[np.void]) -> NDArray[np.void]:

@@ -14,12 +14,15 @@ import numpy as np
 
 from raystream.core.rays import INVALID, VALID
 from raystream.geometry.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
+from raystream.geometry.primitives.traversal import RayScene, traverse_trees
+from raystream.geometry.primitives.traversal import traverse_all as traverse_all_here
+from raystream.geometry.spheres.sphere import exact_ray
 from raystream.jit.constants import ONE_F64, ZERO_F64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
 from raystream.kernels.queries import RaySearches, note_status, ray_filter, searches_of
 from raystream.kernels.ray import WorldRay, largest, missing_ray, prepare_ray
-from raystream.kernels.ray_source import load_ray, local_ray, read_ray
+from raystream.kernels.ray_source import in_object, load_ray, local_ray, read_ray
 from raystream.kernels.search import (
     InstanceRay,
     begin_search,
@@ -41,7 +44,9 @@ __all__ = [
     "is_scalable",
     "load_scene_ray",
     "traverse_all",
+    "traverse_all_primitives",
     "traverse_top",
+    "traverse_top_primitives",
 ]
 
 _STACK, _TREE = np.uint64(STACK_BYTES), np.uint64(TREE.itemsize)
@@ -121,7 +126,20 @@ def is_scalable(direction):
     return 1.0 / MAX_LENGTH <= largest(direction) <= MAX_LENGTH
 
 
-def _instance_search(traverse):
+@device
+def _triangles_at(object_, instance, whole, ray):  # noqa: ARG001
+    """What triangles are traversed as, with a ray: the object's addresses."""
+    return object_
+
+
+@device
+def _primitives_at(object_, instance, whole, ray):
+    """The object's primitives, with the ray in float64 in its space."""
+    moved, offset = in_object(whole, instance), ray.t_offset / ray.t_scale
+    return RayScene(object_, exact_ray(moved, offset, object_))
+
+
+def _instance_search(traverse, scene_at=_triangles_at):
     """Make the search in one instance, for objects with structures of one kind."""
 
     def search_instance(tree, index, search, stack):
@@ -132,53 +150,73 @@ def _instance_search(traverse):
         if not (inner.t_min <= inner.t_far):
             return search
         local = prepare_ray(ray.origin, ray.direction, object_.max_coordinate)
-        return leave_instance(search, traverse(object_, local, inner, stack))
+        scene = scene_at(object_, instance, tree.ray, ray)
+        return leave_instance(search, traverse(scene, local, inner, stack))
 
     return search_instance
 
 
-_search_bvh = device_call(_instance_search(traverse_bvh))
-_search_brute = device_call(_instance_search(traverse_brute))
+def top_traversal(search_instance):
+    """Make the traversal of the trees over instances, given the search in one of them."""
 
+    @device
+    def search_leaf(tree, child, line, search, stack):  # noqa: ARG001
+        index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
+        return search_instance(tree, index, search, stack + _STACK)
 
-@device
-def _search_leaf(tree, child, line, search, stack):  # noqa: ARG001
-    index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
-    return _search_bvh(tree, index, search, stack + _STACK)
+    traverse_tree = device(tree_traversal(search_leaf))
 
-
-_traverse_tree = device(tree_traversal(_search_leaf))
-
-
-@device
-def traverse_top(scene, ray, search, stack):
-    """Search the instances of BVHs: those of the ray's world, then those of all worlds."""
-    top = scene.top
-    for k in range(_TWO):
-        if k == _NONE and scene.world < _NO_ID:
-            continue
-        at = top.trees + np.uint64(scene.world) * _TREE if k == _NONE else top.shared
-        tree = TreeRecord(at)
-        one = _RayTree(tree.nodes, tree.leaves, top.objects, scene.ray)
-        search = _traverse_tree(one, ray, search, stack)
-        if is_full(search):
-            break
-    return search
-
-
-@device
-def traverse_all(scene, ray, search, stack):  # noqa: ARG001
-    """Search all instances of the ray's world, without a tree, by brute force."""
-    if scene.is_valid:
+    @device
+    def traverse(scene, ray, search, stack):
+        """Search the instances of BVHs: those of the ray's world, then those of all worlds."""
         top = scene.top
-        tree = _RayTree(_NONE, top.leaves, top.objects, scene.ray)
-        for index in range(top.instance_count):
-            world = InstanceRecord(top.leaves, index).world
-            if world == scene.world or world < _NO_ID:
-                search = _search_brute(tree, index, search, stack)
-                if is_full(search):
-                    break
-    return search
+        for k in range(_TWO):
+            if k == _NONE and scene.world < _NO_ID:
+                continue
+            at = top.trees + np.uint64(scene.world) * _TREE if k == _NONE else top.shared
+            tree = TreeRecord(at)
+            one = _RayTree(tree.nodes, tree.leaves, top.objects, scene.ray)
+            search = traverse_tree(one, ray, search, stack)
+            if is_full(search):
+                break
+        return search
+
+    return traverse
+
+
+def whole_traversal(search_instance):
+    """Make the search of all instances, without a tree, given the search in one of them."""
+
+    @device
+    def traverse(scene, ray, search, stack):  # noqa: ARG001
+        """Search all instances of the ray's world, by brute force."""
+        if scene.is_valid:
+            top = scene.top
+            tree = _RayTree(_NONE, top.leaves, top.objects, scene.ray)
+            for index in range(top.instance_count):
+                world = InstanceRecord(top.leaves, index).world
+                if world == scene.world or world < _NO_ID:
+                    search = search_instance(tree, index, search, stack)
+                    if is_full(search):
+                        break
+        return search
+
+    return traverse
+
+
+def _searches(triangles, primitives):
+    """The searches in an instance of triangles, and in one of primitives of any kind."""
+    return (
+        device_call(_instance_search(triangles)),
+        device_call(_instance_search(primitives, _primitives_at)),
+    )
+
+
+#: With trees over triangles, and over primitives; and without trees.
+traverse_top, traverse_top_primitives = map(top_traversal, _searches(traverse_bvh, traverse_trees))
+traverse_all, traverse_all_primitives = map(
+    whole_traversal, _searches(traverse_brute, traverse_all_here)
+)
 
 
 @device
