@@ -85,6 +85,7 @@ FEATURES: dict[str, tuple[Callable[[rs.Tracer, Path], Any], str]] = {
         lambda t, _: t.any_hit(*RAY, skip_prim_ids=0, **_world(t)),
         "on_hit, skip_prim_ids",
     ),
+    "mask": (lambda t, _: t.first_hit(*RAY, mask=1, **_world(t)), "mask"),
     "trace": (lambda t, _: t.trace(*RAY, on_hit=keep, payload=float, **_world(t)), "trace"),
     "update of the camera": (
         lambda t, _: t.update(t.scene.replace(camera=rs.Camera((0, 0, 0), (0, 0, 1)))),

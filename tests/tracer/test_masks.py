@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -260,6 +261,48 @@ def test_masks_after_updates_and_loads(tmp_path: Any) -> None:
     assert not tracer.any_hit(*ray, mask=1)
     tracer.update(scene.meshes[0].vertices - 0.1)
     assert tracer.any_hit(*ray, mask=2)
+
+
+def _masked_scenes() -> dict[str, rs.Scene]:
+    """Scenes whose parts have masks, one behind the other."""
+    near, far = rs.Mesh(*cube(), mask=1), rs.Mesh(*cube(), mask=2).moved(cube()[0] + [0, 0, 4])
+    field = rs.Scene.height_field(np.zeros((2, 2)), origin=(-1, -1, 7), spacing=2.0, mask=8)
+    both = rs.Scene([near, rs.Mesh(np.zeros((0, 3)), np.zeros((0, 3), int)), far])
+    places = np.tile(np.eye(4)[:3], (2, 1, 1))
+    places[1, 2, 3] = 9.0
+    return {
+        "triangles": both,
+        "primitives": rs.Scene.combine([both, rs.Scene.spheres([[0, 0, 9]], 1.0, mask=4), field]),
+        "instances": rs.Scene.instances([both, near], places, [0, 1]),
+        "masked instances": rs.Scene.instances([both], places, [0, 0], masks=[0, 4]),
+    }
+
+
+@pytest.mark.parametrize("name", list(_masked_scenes()))
+def test_masks_are_saved_and_loaded(name: str, tmp_path: Any) -> None:
+    scene = _masked_scenes()[name]
+    tracer = rs.Tracer(scene)
+    tracer.save(tmp_path / "saved.npz")
+    loaded = rs.Tracer.load(tmp_path / "saved.npz")
+    tracers = [tracer, loaded, rs.Tracer(loaded.scene), pickle.loads(pickle.dumps(loaded))]
+    tracers.append(rs.Tracer.load(tmp_path / "saved.npz", scene))
+    for mask in range(1, 16):
+        found = [
+            one.multi_hit([0, 0, -9], [0, 0, 1], mask=mask).prim_id.tolist() for one in tracers
+        ]
+        assert found == found[:1] * len(found), mask
+    assert loaded.count_hits([0, 0, -9], [0, 0, 1], mask=16) == 0
+
+
+def test_saved_masks_are_checked(tmp_path: Any) -> None:
+    rs.Tracer(_masked_scenes()["primitives"]).save(tmp_path / "saved.npz")
+    whole = dict(np.load(tmp_path / "saved.npz"))
+    for part in ("meshes", "fields", "spheres"):
+        key = f"triangles.masks.{part}"
+        for wrong in (whole[key][:0], whole[key].astype(np.int64), np.zeros_like(whole[key])):
+            np.savez(tmp_path / "bad.npz", **(whole | {key: wrong}))
+            with pytest.raises(rs.FileFormatError, match="masks"):
+                rs.Tracer.load(tmp_path / "bad.npz")
 
 
 def test_runs_of_masks() -> None:

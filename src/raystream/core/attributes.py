@@ -36,10 +36,14 @@ class Attributes:
     Parameters
     ----------
     meshes : sequence of Mesh
+    masks : ndarray of shape (M,), uint32, optional
+        Those of meshes that are not known [default: the meshes']
     """
 
-    def __init__(self, meshes: Sequence[_Mesh]) -> None:
+    def __init__(self, meshes: Sequence[_Mesh], masks: NDArray[np.uint32] | None = None) -> None:
         self._meshes = tuple(meshes)
+        if masks is not None:
+            self.masks = masks
 
     @property
     def vertex_count(self) -> int:

@@ -133,6 +133,18 @@ class InstancedTriangles(PrimitiveStore):
         chosen = np.where(own[instance] > 0, own[instance], masks[row])
         return self.first_ids[instance] + firsts[row], chosen
 
+    def saved_masks(self) -> dict[str, NDArray[np.uint32]]:
+        """See `Store.saved_masks`."""
+        own = self.instances.masks
+        return {
+            **{
+                f"object{k}.{name}": masks
+                for k, one in enumerate(self.objects)
+                for name, masks in one.saved_masks().items()
+            },
+            **({} if own is None else {"instances": own}),
+        }
+
     def moved(self, instances: Instances) -> InstancedTriangles:
         """The same objects, with instances elsewhere."""
         return InstancedTriangles(self.objects, instances, self.mesh_splits, self.attributes)

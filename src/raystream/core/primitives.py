@@ -179,9 +179,12 @@ class Primitives(PrimitiveStore):
         count = len(self.spheres)
         numbers = self.first_fields[-1] + 2 * np.arange(count)
         firsts = self.triangles.mesh_splits[:-1], self.first_fields[:-1], numbers
+        return np.concatenate(firsts), np.concatenate(list(self.saved_masks().values()))
+
+    def saved_masks(self) -> dict[str, NDArray[np.uint32]]:
+        """See `Store.saved_masks`."""
         fields = np.array([one.mask for one in self.fields], np.uint32)
-        masks = self.attributes.masks, fields, self.spheres.masks
-        return np.concatenate(firsts), np.concatenate(masks)
+        return super().saved_masks() | {"fields": fields, "spheres": self.spheres.masks}
 
     def __len__(self) -> int:
         return int(self.first_fields[-1]) + len(self.spheres)
@@ -230,7 +233,8 @@ class Primitives(PrimitiveStore):
         for k, one in enumerate(fields):
             arrays |= {f"field{k}.heights": one.heights, f"field{k}.x": one.x, f"field{k}.y": one.y}
             arrays[f"field{k}.base"] = np.array([one.base, one.material_id], np.float64)
-        return arrays | {f"spheres.{name}": one for name, one in vars(spheres).items()}
+        named = ("centers", "radii", "material_ids")
+        return arrays | {f"spheres.{name}": getattr(spheres, name) for name in named}
 
     def solid_numbers(self) -> NDArray[np.int32]:
         """The triangles of the meshes that can be hit, increasing."""

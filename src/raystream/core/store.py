@@ -131,11 +131,19 @@ class Store:
         """The masks of the geometry, by kernels' numbers."""
         return MaskRuns.of(*self.mask_parts())
 
+    @cached_property
+    def mesh_masks(self) -> NDArray[np.uint32]:
+        """The mask of each mesh, shape (M,), uint32."""
+        known, count = self.attributes, len(self.mesh_splits) - 1
+        return np.full(count, ALL_BITS, np.uint32) if known is None else known.masks
+
+    def saved_masks(self) -> dict[str, NDArray[np.uint32]]:
+        """The masks of parts of each kind, for files."""
+        return {"meshes": self.mesh_masks}
+
     def mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
         """The first numbers of the parts that have a mask each, and these masks."""
-        firsts, known = self.mesh_splits[:-1], self.attributes
-        masks = np.full(len(firsts), ALL_BITS, np.uint32) if known is None else known.masks
-        return firsts, masks
+        return self.mesh_splits[:-1], self.mesh_masks
 
     # Solids.
 

@@ -154,22 +154,28 @@ class Scene(PrimitiveScene):
 
     @classmethod
     def from_triangles(cls, triangles: Triangles) -> Scene:
-        """Make a scene from a triangle store: the same triangles and meshes, nothing else."""
+        """Make a scene from a triangle store: the same triangles, meshes and masks, no more."""
         store: Any = triangles
         if store.instances is not None:
             objects = [cls.from_triangles(one).geometry for one in store.objects]
             return cls._of_geometry(InstancedGeometry(objects, store.instances))
         if store.has_primitives:
-            of_meshes = cls.from_triangles(store.triangles).meshes
+            of_meshes = cls._bare_meshes(store.triangles, store.mesh_masks)
             return cls._of_geometry(PrimitiveGeometry(of_meshes, store.fields, store.spheres))
+        return cls().moved(cls._bare_meshes(triangles, store.mesh_masks), triangles)
+
+    @staticmethod
+    def _bare_meshes(triangles: Any, masks: NDArray[np.uint32]) -> list[Mesh]:
+        """The meshes of a triangle store, with nothing but these masks."""
         ids = np.arange(len(triangles), dtype=np.int32)
         local: Any = triangles.corners_at(ids, ids) if triangles.kinds else triangles.corners
         corners = triangles.points_to_world(local, ids)
         meshes = []
-        for first, end in itertools.pairwise(triangles.mesh_splits):
+        parts = itertools.pairwise(triangles.mesh_splits)
+        for (first, end), mask in zip(parts, masks.tolist(), strict=True):
             faces = np.arange(3 * (end - first), dtype=np.int32).reshape(-1, 3)
-            meshes.append(Mesh(corners[first:end].reshape(-1, 3), faces))
-        return cls().moved(meshes, triangles)
+            meshes.append(Mesh(corners[first:end].reshape(-1, 3), faces, mask=mask))
+        return meshes
 
     @classmethod
     def _of_geometry(cls, geometry: Geometry) -> Scene:

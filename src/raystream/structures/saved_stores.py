@@ -1,7 +1,8 @@
-"""Geometry from the arrays of a file, checked: what `Store.saved_arrays` returned."""
+"""Geometry as the arrays of a file, with its masks; and from them, checked."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -14,6 +15,7 @@ from raystream.core.float64_triangles import Float64Triangles
 from raystream.core.height_field import HeightField
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.instances import Instances
+from raystream.core.masks import ALL_BITS
 from raystream.core.primitives import Primitives
 from raystream.core.spheres import Spheres
 from raystream.core.store import Store
@@ -34,7 +36,24 @@ def store_of(kinds: Any, arrays: Arrays) -> Store:
     make = _MAKERS.get(str(kinds[0]) if isinstance(kinds, list) and kinds else "")
     if make is None:
         raise ValueError(f"holds an unknown kind of scene {kinds!r:.40}")
-    return make(arrays)
+    return _with_masks(make, arrays)
+
+
+def _with_masks(make: Callable[[Arrays], Store], arrays: Arrays) -> Store:
+    made = make(arrays)
+    if made.attributes is None:
+        made.mesh_masks = _mesh_masks(arrays, made.mesh_splits)
+    return made
+
+
+def arrays_of(store: Store) -> dict[str, NDArray[Any]]:
+    """`Store.saved_arrays`; and its masks, where there are any."""
+    held = {
+        f"masks.{name}": masks
+        for name, masks in store.saved_masks().items()
+        if (masks != ALL_BITS).any()
+    }
+    return store.saved_arrays() | held
 
 
 def same_geometry(one: Store, other: Store) -> bool:
@@ -51,6 +70,20 @@ def _part(arrays: Arrays, name: str) -> dict[str, NDArray[Any]]:
     return {
         key.removeprefix(begin): array for key, array in arrays.items() if key.startswith(begin)
     }
+
+
+def _masks(arrays: Arrays, name: str, count: int) -> NDArray[np.uint32]:
+    """The masks of some parts: all bits if the file has none."""
+    if f"masks.{name}" not in arrays:
+        return np.full(count, ALL_BITS, np.uint32)
+    masks = take(arrays, f"masks.{name}", np.uint32, (count,))
+    if not (name == "instances" or masks.all()):
+        raise ValueError(f"the masks of {name} have a 0")
+    return masks
+
+
+def _mesh_masks(arrays: Arrays, splits: NDArray[np.int64]) -> NDArray[np.uint32]:
+    return _masks(arrays, "meshes", len(splits) - 1)
 
 
 def _splits(arrays: Arrays, count: int) -> NDArray[np.int64]:
@@ -87,11 +120,17 @@ def _float64(arrays: Arrays) -> Float64Triangles:
 def _instances(arrays: Arrays) -> InstancedTriangles:
     objects: list[Store] = []
     while own := _part(arrays, f"object{len(objects)}"):
-        objects.append((_primitives if "spheres.radii" in own else _triangles)(own))
+        k = len(objects)
+        masks = _part(arrays, f"masks.object{k}")
+        own |= {f"masks.{name}": one for name, one in masks.items()}
+        kind = "spheres" if "spheres.radii" in own else "float64" if "vertices" in own else ""
+        objects.append(_with_masks(_MAKERS[kind], own))
+    ids = take(arrays, "object_ids", np.int32, (None,))
     placed = Instances(
-        take(arrays, "object_ids", np.int32, (None,)),
+        ids,
         take(arrays, "transforms", np.float64, (None, 3, 4)),
         take(arrays, "worlds", np.int32, (None,)) if "worlds" in arrays else None,
+        masks=_masks(arrays, "instances", len(ids)) if "masks.instances" in arrays else None,
     )
     splits = _splits(arrays, sum(map(len, objects)))
     return InstancedTriangles(objects, placed, splits, Attributes(()))
@@ -107,8 +146,12 @@ def _primitives(arrays: Arrays) -> Primitives:
         take(own, "radii", np.float64, (None,)),
         take(own, "material_ids", np.int32, (None,)),
     )
+    spheres = dataclasses.replace(spheres, masks=_masks(arrays, "spheres", len(spheres)))
+    for field, mask in zip(fields, _masks(arrays, "fields", len(fields)), strict=True):
+        field.mask = int(mask)
     triangles = _triangles(_part(arrays, "triangles"))
-    return Primitives(triangles, fields, spheres, Attributes(()))
+    known = Attributes((), _mesh_masks(arrays, triangles.mesh_splits))
+    return Primitives(triangles, fields, spheres, known)
 
 
 def _field(arrays: Arrays) -> HeightField:

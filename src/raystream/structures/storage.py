@@ -14,7 +14,7 @@ from raystream.core.errors import FileFormatError
 from raystream.core.npz import read_npz, write_npz
 from raystream.structures import STRUCTURES, StructureOptions, builder_for
 from raystream.structures.base import Structure
-from raystream.structures.saved_stores import same_geometry, store_of
+from raystream.structures.saved_stores import arrays_of, same_geometry, store_of
 
 #: Increased by every change that makes older files unreadable.
 FORMAT_VERSION = 3
@@ -47,7 +47,7 @@ def save_structure(path: str | PathLike[str], structure: Structure) -> None:
     }
     arrays: dict[str, NDArray[Any]] = {
         "header": np.frombuffer(json.dumps(header).encode(), np.uint8),
-        **{f"triangles.{name}": one for name, one in triangles.saved_arrays().items()},
+        **{f"triangles.{name}": one for name, one in arrays_of(triangles).items()},
     }
     for name, array in structure.saved_arrays().items():
         arrays[f"structure.{name}"] = array
