@@ -71,8 +71,8 @@ def combined(scenes: Iterable[Any]) -> tuple[PrimitiveGeometry, list[Material]]:
 
     Raises
     ------
-    TypeError, ValueError
-        If one is not a scene, or has instances.
+    TypeError
+        If one is not a scene.
     """
     held: list[Geometry] = []
     materials: list[Material] = []
@@ -80,11 +80,6 @@ def combined(scenes: Iterable[Any]) -> tuple[PrimitiveGeometry, list[Material]]:
         geometry = geometry_of(one)
         if geometry is None:
             raise TypeError(f"scenes[{index}]: expected a Scene, got {type(one).__name__}")
-        if one.placements is not None:
-            raise ValueError(
-                f"scenes[{index}]: has instances, which cannot be combined; scene.flattened() is "
-                "the same scene without them"
-            )
         held.append(geometry.with_materials_from(len(materials)))
         materials.extend(one.materials)
     return joined(held), materials

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,12 +18,11 @@ from raystream.scene.animation import FPS, Animation, Timeline
 from raystream.scene.camera import Camera, unit_vector
 from raystream.scene.camera_track import CameraMotion
 from raystream.scene.geometry import Geometry
-from raystream.scene.instancing import InstancedGeometry
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
-from raystream.scene.primitive_geometry import PrimitiveGeometry
 from raystream.scene.primitive_scene import PrimitiveScene
+from raystream.scene.store_geometry import geometry_of_store
 from raystream.scene.views import Views
 
 #: Parts of a scene that an animation sets.
@@ -155,31 +153,7 @@ class Scene(PrimitiveScene):
     @classmethod
     def from_triangles(cls, triangles: Triangles) -> Scene:
         """Make a scene from a triangle store: the same triangles, meshes and masks, no more."""
-        store: Any = triangles
-        if store.instances is not None:
-            objects = [cls.from_triangles(one).geometry for one in store.objects]
-            return cls._of_geometry(InstancedGeometry(objects, store.instances))
-        if store.has_primitives:
-            of_meshes = cls._bare_meshes(store.triangles, store.mesh_masks)
-            return cls._of_geometry(PrimitiveGeometry(of_meshes, store.fields, store.spheres))
-        return cls().moved(cls._bare_meshes(triangles, store.mesh_masks), triangles)
-
-    @staticmethod
-    def _bare_meshes(triangles: Any, masks: NDArray[np.uint32]) -> list[Mesh]:
-        """The meshes of a triangle store, with nothing but these masks."""
-        ids = np.arange(len(triangles), dtype=np.int32)
-        local: Any = triangles.corners_at(ids, ids) if triangles.kinds else triangles.corners
-        corners = triangles.points_to_world(local, ids)
-        meshes = []
-        parts = itertools.pairwise(triangles.mesh_splits)
-        for (first, end), mask in zip(parts, masks.tolist(), strict=True):
-            faces = np.arange(3 * (end - first), dtype=np.int32).reshape(-1, 3)
-            meshes.append(Mesh(corners[first:end].reshape(-1, 3), faces, mask=mask))
-        return meshes
-
-    @classmethod
-    def _of_geometry(cls, geometry: Geometry) -> Scene:
-        """A scene of geometry alone, with as many materials as it uses."""
+        geometry = geometry_of_store(triangles)
         count = int(geometry.material_ids.max(initial=0)) + 1
         return cls(materials=[Material()] * count)._with(_geometry=geometry)
 
