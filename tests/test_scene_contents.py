@@ -28,6 +28,7 @@ SAYS = {
     "float64": "precision='float64'",
     "placed spheres": "spheres",
     "placed fields": "height fields",
+    "placed float64": "precision='float64'",
 }
 
 
@@ -48,7 +49,8 @@ def tracer_of(kind: str, structure: str = "bvh", device: str = "cpu") -> rs.Trac
     transforms = np.tile(np.eye(4)[:3], (2, 1, 1))
     transforms[1, 0, 3] = 2000.0
     scene = rs.Scene.instances([box], transforms, worlds=worlds, camera=box.camera)
-    return rs.Tracer(scene, structure, device)
+    precision = "float64" if kind == "placed float64" else "float32"
+    return rs.Tracer(scene, structure, device, precision=precision)
 
 
 def keep(hit: Any, payload: Any) -> None:

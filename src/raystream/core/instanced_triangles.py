@@ -80,6 +80,8 @@ class InstancedTriangles(PlacedHits):
         self.fields = tuple(field for one in held for field in one.fields)
         self.spheres = Spheres.joined(one.spheres for one in held)
         self.kinds = self._kinds()
+        if any(one.number_type is np.float64 for one in self.objects):
+            self.number_type = np.float64
         counts = np.array([one.part_counts for one in self.objects], np.int64).reshape(-1, 3)
         own, totals = counts * _NUMBERS, counts.sum(axis=0)
         numbers = np.cumsum(own, axis=1) - own

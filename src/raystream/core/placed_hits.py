@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.float64_triangles import float64_offset
 from raystream.core.instances import Instances, moved
 from raystream.core.primitives import PrimitiveStore
+from raystream.core.spawn import WORLD_UNIT, side_of
 from raystream.core.store import Store
 
 if TYPE_CHECKING:
@@ -110,6 +112,8 @@ class PlacedHits(PrimitiveStore):
 
     def spawned(self, hits: HitColumns, directions: NDArray[Any]) -> NDArray[np.float64]:
         """Origins of rays that leave hits, world space; see `Hits.spawn`."""
+        if self.number_type is np.float64:
+            return self._spawned_in_float64(hits, directions)
         origins = super().spawned(hits, directions)
         is_sphere, rows, normals = self._on_spheres(hits)
         if len(rows):
@@ -136,7 +140,7 @@ class PlacedHits(PrimitiveStore):
         world = np.full(local.shape, np.nan)
         for k, rows in self._by_object(instance_id):
             matrices = self.instances.transforms[ids[rows]]
-            inside = self.objects[k].to_world(local[rows])
+            inside = self.objects[k].points_to_world(local[rows], ids[rows])
             moved = np.einsum("kij,knj->kni", matrices[:, :, :3], inside)
             world[rows] = moved + matrices[:, None, :, 3]
         return world.reshape(points.shape)
@@ -184,6 +188,19 @@ class PlacedHits(PrimitiveStore):
             extent[rows] = float(one.max_coordinate)
             far[rows] = (terms.max(axis=1) + np.abs(one.center).max()) * one.scale
         return extent.reshape(instance_id.shape), far.reshape(instance_id.shape)
+
+    def _spawned_in_float64(
+        self, hits: HitColumns, directions: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """See `Float64Triangles.spawned`; and the rounding of a move to object space and back."""
+        ids = hits.instance_id
+        positions, normals = self.local_positions(hits), self.local_normals(hits)
+        corners = self.corners_at(hits.prim_id, ids)
+        scales = np.array([one.scale for one in self.objects])[self.instances.object_ids[ids]]
+        far = WORLD_UNIT * self.reaches_at(ids)[1] / scales
+        offset = float64_offset(corners) + far
+        side = side_of(normals, self.directions_to_local(directions, ids))
+        return self.points_to_world(positions + (side * offset)[..., None] * normals, ids)
 
     def world_lengths(
         self, lengths: NDArray[np.float64], instance_id: NDArray[np.int32]

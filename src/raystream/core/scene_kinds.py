@@ -22,6 +22,7 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
         "spheres": "not supported in a scene with spheres",
         "fields": "not supported in a scene with height fields",
         "float64": "not supported with precision='float64'",
+        "placed float64": "not supported in a scene with instances and precision='float64'",
         "placed spheres": "not supported in a scene with instances of spheres",
         "placed fields": "not supported in a scene with instances of height fields",
     }
@@ -35,7 +36,7 @@ _PLACED = ("instances", "worlds")
 _PRIMITIVES = ("spheres", "fields")
 _BOTH = ("placed spheres", "placed fields")
 _ONE = ("instances", *_PRIMITIVES, "float64")
-_ONE_WORLD = (*_ONE, *_BOTH)
+_ONE_WORLD = (*_ONE, *_BOTH, "placed float64")
 
 # Why a kind of scene lacks a feature.
 _TRIANGLES = "written for triangles of one local frame in float32"
@@ -82,11 +83,12 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "structure='bvh'": Feature(_ALL),
         "structure='brute'": Feature(_ALL),
         "device='cpu', machine='branching'": Feature(_ALL),
+        "precision='float64'": Feature(("instances", "worlds", "float64", "placed float64")),
         "device='cuda', machine='branching'": Feature(
             (*_ONE, "worlds"), '``device="cuda"``', _DEVICE
         ),
         "device='graphics', machine='compute'": Feature(_PLACED),
-        "worlds": Feature((*_PLACED, *_BOTH), "``worlds=``", _SETS),
+        "worlds": Feature((*_PLACED, *_BOTH, "placed float64"), "``worlds=``", _SETS),
         "counters=True": Feature((*_PLACED, *_PRIMITIVES, *_BOTH), "``counters=True``", _COUNTS),
         "on_hit, skip_prim_ids": Feature(_ALL, "``on_hit=``, ``skip_prim_ids=``"),
         "trace": Feature(_ALL, "`Tracer.trace`"),

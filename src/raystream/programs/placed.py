@@ -16,15 +16,21 @@ from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.intervals import halvings_of, interval_of
+from raystream.programs.float64_hits import (
+    FLOAT64_OBJECT,
+    Float64At,
+    Float64Record,
+    faces_ray,
+)
 from raystream.programs.hits import Hit, direction_at, faces_front
 from raystream.programs.primitive_hits import OBJECT, ObjectRecord, PrimitivesAt, seen_from
 
 _WORD, _LONG = np.uint64(4), np.uint64(8)
 _TRIANGLE = np.uint64(36)
 
-#: An instance: the address of its object's corners, or where some have spheres or height fields, of
-#: its `ObjectRecord`; what is added to the object's prim_ids of each part, see
-#: `InstancedTriangles.parts`; and the matrix that moves directions to object space.
+#: An instance: the address of its object's corners, or of its `ObjectRecord` where some objects have
+#: spheres or height fields, or of its `Float64Record`; what is added to the object's prim_ids of
+#: each part, see `InstancedTriangles.parts`; and the matrix that moves directions to object space.
 _PART = np.dtype([("object", "u8"), ("shifts", "i8", 3), ("linear", "f8", (3, 3))])
 _PART_BYTES = np.uint64(_PART.itemsize)
 _SHIFTS, _LINEAR = np.uint64(8), np.uint64(32)
@@ -67,10 +73,12 @@ class PlacedAt(NamedTuple):
     def _made(cls, triangles: InstancedTriangles) -> tuple[PlacedAt, tuple[Any, ...]]:
         instances = triangles.instances
         held: Any
-        if triangles.has_primitives:
-            held = [PrimitivesAt.of_object(one) for one in triangles.objects]
-            records = np.array([one for one, _ in held], OBJECT)
-            places = records.ctypes.data + np.arange(len(held)) * OBJECT.itemsize
+        is_wide = triangles.number_type is np.float64
+        if is_wide or triangles.has_primitives:
+            of: Any = Float64At.of if is_wide else PrimitivesAt.of_object
+            held = [of(one) for one in triangles.objects]
+            records = np.array([one for one, _ in held], FLOAT64_OBJECT if is_wide else OBJECT)
+            places = records.ctypes.data + np.arange(len(held)) * records.itemsize
             held = held, records
         else:
             held = [one.object_corners() for one in triangles.objects]
@@ -115,6 +123,11 @@ def _seen_primitive(at, number, direction):
     return prim_id, is_entering, part
 
 
+@device
+def _seen_float64(at, number, direction):
+    return number, faces_ray(Float64Record(load(np.uint64, at)), number, direction), ZERO_U64
+
+
 def _hit_function(seen):
     """Make the function that makes a `Hit` of kernels' numbers; see `hits.hit_of`."""
 
@@ -138,6 +151,7 @@ def _hit_function(seen):
 
 placed_hit_of = _hit_function(_seen_triangle)
 placed_primitive_hit_of = _hit_function(_seen_primitive)
+placed_float64_hit_of = _hit_function(_seen_float64)
 
 
 @device

@@ -7,12 +7,15 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from raystream.core.store import Store
 from raystream.programs.float64_hits import Float64At, float64_hit_of
 from raystream.programs.hits import SceneAt, hit_of
 from raystream.programs.placed import (
     PlacedAt,
     is_placed_skipped,
+    placed_float64_hit_of,
     placed_hit_of,
     placed_primitive_hit_of,
 )
@@ -67,9 +70,18 @@ def _float64() -> SceneForm:
     return SceneForm("# in float64\n", Float64At, float64_hit_of, of_rows=copy)
 
 
+@cache
+def _placed_float64() -> SceneForm:
+    heading = "# with instances in float64\n"
+    of_rows = _float64().of_rows
+    return _PLACED._replace(heading=heading, hit_of=placed_float64_hit_of, of_rows=of_rows)
+
+
 def form_of(store: Store) -> SceneForm:
     """How programs read the hits of a scene."""
     if store.instances is not None:
+        if store.number_type is np.float64:
+            return _placed_float64()
         return _PLACED_PRIMITIVES if store.has_primitives else _PLACED
     if "spheres" in store.kinds or "fields" in store.kinds:
         return _PRIMITIVES

@@ -56,7 +56,8 @@ def _take_nearest(best, line, span, triangle, prim_id):
 
 
 @device
-def _take_hit(search, line, span, triangle, prim_id):
+def take_hit(search, line, span, triangle, prim_id):
+    """Offer a triangle that a ray may hit to a `kernels.search.Search`; see `block.block_test`."""
     search = _offer_to(search.goal.hits, search, line, span, triangle, prim_id)
     return search, is_full(search)
 
@@ -75,7 +76,7 @@ def _offer_to(hits, search, line, span, triangle, prim_id):
 
 def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
     """Make the `RaySearches` of a traversal; see `geometry.float64.traversal`."""
-    walk_nearest, walk_hits = blocks(_take_nearest), blocks(_take_hit)
+    walk_nearest, walk_hits = blocks(_take_nearest), blocks(take_hit)
 
     @device
     def nearest(i, scene, hits, memory):

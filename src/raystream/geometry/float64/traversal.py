@@ -31,7 +31,7 @@ from raystream.jit.simd import (
 from raystream.structures.bvh.node_layout import BOX_FLIP, leaf_address
 from raystream.structures.bvh.walks.single import STACK_BYTES, tree_walk
 
-__all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "tree_blocks"]
+__all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "box_walk", "tree_blocks"]
 
 _KEY_BITS = np.int32(~7)
 
@@ -132,6 +132,11 @@ def blocks_by(
         return make_walk(_interval, enter, visit_leaf)
 
     return make_traversal
+
+
+def box_walk(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the walk of a tree over boxes with any leaf; see `tree_walk`, and `blocks_by`."""
+    return tree_walk(_interval, _enter, visit_leaf)
 
 
 #: Makes traversals of wide trees.

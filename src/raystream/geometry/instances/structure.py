@@ -15,7 +15,14 @@ from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
+from raystream.geometry.float64.ray_batch import Float64Rays
 from raystream.geometry.instances.batches import BATCH_KERNELS
+from raystream.geometry.instances.float64 import (
+    MEMORY_BYTES,
+    float64_instance_searches,
+    traverse_all_float64,
+    traverse_top_float64,
+)
 from raystream.geometry.instances.nearest import (
     PlacedInstances,
     find_among_all,
@@ -78,6 +85,7 @@ class InstancedStructure(Structure):
     triangles: InstancedTriangles  # type: ignore[assignment]
     _name: str  # of the objects' structures
     _of_primitives: type[InstancedStructure]
+    _of_float64: type[InstancedStructure]
 
     def __init__(
         self, triangles: InstancedTriangles, objects: Sequence[Structure], options: StructureOptions
@@ -139,6 +147,7 @@ class InstancedStructure(Structure):
             objects.append(builder_for(cls._name, one)(one, options, progress=part))
             placed += len(one)
         made = cls._of_primitives if triangles.has_primitives else cls
+        made = cls._of_float64 if triangles.number_type is np.float64 else made
         return made(triangles, objects, options)
 
     def _trees(self, boxes: Triangles) -> TopTrees:
@@ -234,6 +243,28 @@ class PlacedPrimitivesBrute(InstancedBrute):
     stack_bytes = PRIMITIVE_BYTES
 
 
+class PlacedFloat64Bvh(InstancedBvh):
+    """The same where objects are in float64."""
+
+    precision = "float64"
+    ray_batch = Float64Rays
+    make_searches = staticmethod(float64_instance_searches)
+    traverse = staticmethod(traverse_top_float64)
+    stack_bytes = MEMORY_BYTES
+    many_ray_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})
+
+
+class PlacedFloat64Brute(InstancedBrute):
+    """The same where objects are in float64."""
+
+    precision = "float64"
+    ray_batch = Float64Rays
+    make_searches = staticmethod(float64_instance_searches)
+    traverse = staticmethod(traverse_all_float64)
+    stack_bytes = MEMORY_BYTES
+
+
+InstancedBvh._of_float64, InstancedBrute._of_float64 = PlacedFloat64Bvh, PlacedFloat64Brute
 InstancedBvh._of_primitives = PlacedPrimitivesBvh
 InstancedBrute._of_primitives = PlacedPrimitivesBrute
 

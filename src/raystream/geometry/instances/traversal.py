@@ -63,6 +63,10 @@ MAX_LENGTH = 2.0**500
 MOST_FAR = 2.0**60
 
 
+#: A unit of `kernels.ray.PAD` in those of the padding of boxes in float64.
+FAR_PADS = 2.0**29
+
+
 class TopAddresses(NamedTuple):
     """The instances of a scene; the caller keeps the arrays alive.
 
@@ -92,7 +96,7 @@ class TopAddresses(NamedTuple):
     far_unit: np.float64
 
 
-class _InstanceContext(NamedTuple):
+class InstanceContext(NamedTuple):
     """The instances that one ray may hit, with that ray in world space.
 
     Attributes
@@ -156,15 +160,18 @@ def _instance_search(traverse, scene_at=_triangles_at):
     return search_instance
 
 
-def top_traversal(search_instance):
-    """Make the traversal of the trees over instances, given the search in one of them."""
+def top_traversal(search_instance, make_traversal=tree_traversal):
+    """Make the traversal of the trees over instances, given the search in one of them.
+
+    `make_traversal` makes that of a tree, see `structures.bvh.traversal.tree_traversal`.
+    """
 
     @device
     def search_leaf(tree, child, line, search, stack):  # noqa: ARG001
         index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
         return search_instance(tree, index, search, stack + _STACK)
 
-    traverse_tree = device(tree_traversal(search_leaf))
+    traverse_tree = device(make_traversal(search_leaf))
 
     @device
     def traverse(scene, ray, search, stack):
@@ -248,21 +255,25 @@ def load_scene_ray(source, i, top, frame):
     return ray, frame.max_coordinate + far, whole
 
 
+@device
+def world_of(top, i):
+    """The world of ray i; 0 if there are none."""
+    return _NO_ID if top.worlds == _NONE else load(np.int32, top.worlds + (i << _TWO))
+
+
 def instance_searches(traverse) -> RaySearches:
     """Make the searches of a ray with a traversal of instances; see `kernels.queries.searches`."""
 
     @device
     def search_ray(i, scene, goal, memory):
-        top, world = scene.arrays, _NO_ID
-        if top.worlds != _NONE:
-            world = load(np.int32, top.worlds + (i << _TWO))
+        top = scene.arrays
         ray, most, whole = load_scene_ray(scene.source, i, top, scene.frame)
         note_status(scene.status, i, ray.status)
         local = prepare_ray(ray.origin, ray.direction, most)
         instance = InstanceRay(ray.t_scale, ray.t_offset, _NO_ID)
         tally, filter_ = tally_of(scene.tallies, i), ray_filter(scene.filter, i, ray)
         search = begin_search(ray.t_min, ray.t_max, goal, tally, filter_, instance)
-        context = _InstanceContext(top, world, whole, ray.status == VALID)
+        context = InstanceContext(top, world_of(top, i), whole, ray.status == VALID)
         # Distances are those of world space already.
         return traverse(context, local, search, memory), InstanceRay(ONE_F64, ZERO_F64, _NO_ID)
 
