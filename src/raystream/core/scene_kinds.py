@@ -97,7 +97,10 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             _ALL,
             "`Tracer.update`",
             notes={
-                "instances": "transforms, camera, lights",
+                **dict.fromkeys(
+                    ("instances", "placed spheres", "placed fields", "placed float64"),
+                    "transforms, camera, lights",
+                ),
                 "spheres": "a scene of as many",
                 "fields": "a scene of as many samples",
             },
@@ -120,12 +123,13 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             _ONE, '`closest_point`, `signed_distance`, with ``device="cpu"``', _NEAREST
         ),
         "inside tests": Feature(
-            _ONE,
+            _ONE_WORLD,
             "`contains`",
-            _NEAREST,
-            notes={"fields": '``method="winding"``: they are open surfaces'},
+            notes=dict.fromkeys(
+                ("fields", "placed fields"), '``method="winding"``: they are open surfaces'
+            ),
         ),
-        "winding numbers": Feature(_ONE, "`winding_number`", _NEAREST),
+        "winding numbers": Feature(_ONE_WORLD, "`winding_number`"),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
         "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
         "raystream.torch": Feature((), "`raystream.torch`", _TRIANGLES),

@@ -28,9 +28,10 @@ from raystream.programs.primitive_hits import OBJECT, ObjectRecord, PrimitivesAt
 _WORD, _LONG = np.uint64(4), np.uint64(8)
 _TRIANGLE = np.uint64(36)
 
-#: An instance: the address of its object's corners, or of its `ObjectRecord` where some objects have
-#: spheres or height fields, or of its `Float64Record`; what is added to the object's prim_ids of
-#: each part, see `InstancedTriangles.parts`; and the matrix that moves directions to object space.
+#: An instance: the address of its object's corners, or of its `ObjectRecord` where some objects
+#: have spheres or height fields, or of its `Float64Record`; what is added to the object's prim_ids
+#: of each part, see `InstancedTriangles.parts`; and the matrix that moves directions to object
+#: space.
 _PART = np.dtype([("object", "u8"), ("shifts", "i8", 3), ("linear", "f8", (3, 3))])
 _PART_BYTES = np.uint64(_PART.itemsize)
 _SHIFTS, _LINEAR = np.uint64(8), np.uint64(32)

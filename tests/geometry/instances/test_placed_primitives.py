@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from placed_scenes import rays, rows_of, transforms
 
 STRUCTURES = ("bvh", "brute")
-
-
-def rays(count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    origins = rng.normal(size=(count, 3)) * 12.0
-    return origins, rng.normal(size=(count, 3)) * 2.0 - origins
 
 
 @cache
@@ -31,27 +26,9 @@ def objects() -> tuple[rs.Scene, ...]:
     return balls, rs.Scene.combine([mesh, field, balls]), mesh
 
 
-def transforms(count: int, seed: int = 2, even: bool = False) -> np.ndarray:
-    """Rotations with scales, of which every other one mirrors."""
-    rng = np.random.default_rng(seed)
-    matrices = np.zeros((count, 3, 4))
-    for k in range(count):
-        turned, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        scales = np.full(3, rng.uniform(0.5, 2.0)) if even else rng.uniform(0.3, 2.0, 3)
-        scales[0] *= (-1.0) ** k
-        matrices[k, :, :3] = turned @ np.diag(scales)
-        matrices[k, :, 3] = rng.normal(size=3) * 4.0
-    return matrices
-
-
 @cache
 def mixed(even: bool = False) -> rs.Scene:
     return rs.Scene.instances(objects(), transforms(9, even=even), np.arange(9) % 3)
-
-
-def rows_of(hits: rs.MultiHits) -> list[tuple[Any, ...]]:
-    columns = hits.ray_id, hits.t, hits.instance_id, hits.prim_id
-    return list(zip(*(one.tolist() for one in columns), strict=True))
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
@@ -276,3 +253,24 @@ def test_far_origins_meet_the_same_surfaces() -> None:
     wanted = rs.Tracer(mixed(), "brute").first_hit(origins - 1e6 * directions, directions)
     np.testing.assert_array_equal(found.t, wanted.t)
     np.testing.assert_array_equal(found.prim_id, wanted.prim_id)
+
+
+def test_points_are_inside_ellipsoids() -> None:
+    tracer = rs.Tracer(mixed())
+    points = np.random.default_rng(6).normal(size=(4000, 3)) * 4.0
+    placed: Any = tracer.scene.placements
+    held: Any = objects()[0].geometry.spheres
+    count = np.zeros(len(points))
+    for k in (0, 1, 3, 4, 6, 7):
+        back = placed.inverses[k]
+        own = points @ back[:, :3].T + back[:, 3]
+        gaps = np.linalg.norm(own[:, None] - held.centers, axis=2) - held.radii
+        count += (gaps < 0.0).sum(axis=1)
+    assert (count > 0).sum() > 20
+    balls = rs.Scene.instances(objects()[:1], placed.transforms[[0, 1, 3, 4, 6, 7]])
+    numbers = rs.Tracer(balls).winding_number(points)
+    np.testing.assert_array_equal(numbers, count)
+    inside = rs.Tracer(balls, "brute").contains(points, method="rays")
+    np.testing.assert_array_equal(inside, count > 0)
+    flat = rs.Tracer(mixed(even=True).flattened()).winding_number(points)
+    np.testing.assert_allclose(rs.Tracer(mixed(even=True)).winding_number(points), flat, atol=1e-4)

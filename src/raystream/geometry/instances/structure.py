@@ -39,6 +39,7 @@ from raystream.geometry.instances.records import (
 )
 from raystream.geometry.instances.top import (
     FAR_UNIT,
+    OBJECT_MARGIN,
     TopTrees,
     world_frame,
 )
@@ -56,7 +57,7 @@ from raystream.jit.threads import Progress, part_of
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import PAD, SceneFrame
 from raystream.structures.base import BuildReport, Nested, Structure
-from raystream.structures.batch_kernels import BatchKernels
+from raystream.structures.batch_kernels import BatchKernels, Calls
 from raystream.structures.bvh.layout import NODE_BYTES
 from raystream.structures.registry import StructureOptions, builder_for
 
@@ -174,6 +175,28 @@ class InstancedStructure(Structure):
     def point_view(self) -> PlacedInstances:
         """The instances for points, made once."""
         return placed_view(self.trees.nodes, self._placed)
+
+    def around_calls(
+        self, points: NDArray[np.float64], numbers: NDArray[np.float64]
+    ) -> Calls | None:
+        """See `Structure.around_calls`: each instance, for the points in its box."""
+        held = self.triangles
+        low, high, _ = held.boxes(OBJECT_MARGIN)
+        ids = held.instances.object_ids.tolist()
+        has_spheres = [one.part_counts[2] > 0 for one in held.objects]
+        chosen = [k for k, object_id in enumerate(ids) if has_spheres[object_id]]
+
+        def count(begin: int, end: int) -> None:
+            some = points[begin:end]
+            for k in chosen:
+                rows = np.flatnonzero(((some >= low[k]) & (some <= high[k])).all(axis=1))
+                inverse, found = held.instances.inverses[k], np.zeros(len(rows))
+                own = np.ascontiguousarray(some[rows] @ inverse[:, :3].T + inverse[:, 3])
+                calls: Any = self.objects[ids[k]].around_calls(own, found)
+                calls[0](0, len(rows), *calls[1])
+                numbers[begin + rows] += found
+
+        return (count, ()) if chosen else None
 
     def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
         """The same objects, with instances elsewhere."""
