@@ -41,8 +41,8 @@ class InstancedScene:
         ----------
         objects : Mesh, Scene, or sequence of them
             In their own space, object space. A list of meshes within the sequence is one object.
-            Only the meshes and materials of a scene are used, not its lights and cameras. A scene
-            may have instances itself: each time it is placed, each of its instances becomes an
+            Of a scene, the meshes, height fields, spheres and materials are used, not its lights
+            and cameras. A scene may have instances itself: each time it is placed, each of its instances becomes an
             instance of the new scene.
         transforms : array_like of shape (K, 3, 4) or (3, 4), real
             Object to world space: ``world = transforms[k, :, :3] @ point + transforms[k, :, 3]``,
@@ -68,7 +68,8 @@ class InstancedScene:
         Scene
             Its `meshes` are those of the objects: ``prim_id``, ``mesh_id`` and ``material_id`` of
             hits refer to the objects' triangles, meshes and materials, however often they are
-            placed; ``instance_id`` identifies the instance that is hit.
+            placed; ``instance_id`` identifies the instance that is hit. Height fields and spheres
+            of the objects follow, in the order of `combine`.
 
         Raises
         ------
@@ -88,9 +89,12 @@ class InstancedScene:
         one ray at equal t, as reported, are ordered by instance_id, then by prim_id. A ray whose
         direction is longer than 2**500 or shorter than 2**-500 is INVALID.
 
-        ``structure="bvh"`` and ``"brute"`` trace and render such scenes on the CPU, CUDA and, with
-        its machine ``"compute"``, ``device="graphics"``. For view factors and other machines,
-        use `flattened` to make a plain scene.
+        With ``precision="float64"``, a hit's t is the exact one of the moved ray, rounded; moving
+        the ray rounds it by a few units of 2**-53 of the numbers that are summed.
+
+        ``structure="bvh"`` and ``"brute"`` trace and render such scenes on the CPU, and those of
+        triangles in float32 on CUDA and, with its machine ``"compute"``, ``device="graphics"``.
+        For view factors and other machines, use `flattened` to make a plain scene.
 
         Examples
         --------
