@@ -26,6 +26,9 @@ SAYS = {
     "spheres": "scene with spheres",
     "fields": "scene with height fields",
     "float64": "precision='float64'",
+    "placed spheres": "spheres",
+    "placed fields": "height fields",
+    "placed float64": "precision='float64'",
 }
 
 
@@ -34,17 +37,20 @@ def tracer_of(kind: str, structure: str = "bvh", device: str = "cpu") -> rs.Trac
     box = rs.load("cornell")
     if kind == "float64":
         return rs.Tracer(box, structure, device, precision="float64")
-    if kind == "spheres":
+    if kind.endswith("spheres"):
         ball = rs.Scene.spheres([[278, 273, 280]], 50.0)
-        return rs.Tracer(rs.Scene.combine([box, ball], camera=box.camera), structure, device)
-    if kind == "fields":
+        box = rs.Scene.combine([box, ball], camera=box.camera)
+    if kind.endswith("fields"):
         ground = rs.Scene.height_field(np.zeros((3, 3)), origin=(200, 200, 1), spacing=50.0)
-        return rs.Tracer(rs.Scene.combine([box, ground], camera=box.camera), structure, device)
+        box = rs.Scene.combine([box, ground], camera=box.camera)
+    if kind in ("spheres", "fields"):
+        return rs.Tracer(box, structure, device)
     worlds = [0, 0] if kind == "worlds" else None
     transforms = np.tile(np.eye(4)[:3], (2, 1, 1))
     transforms[1, 0, 3] = 2000.0
     scene = rs.Scene.instances([box], transforms, worlds=worlds, camera=box.camera)
-    return rs.Tracer(scene, structure, device)
+    precision = "float64" if kind == "placed float64" else "float32"
+    return rs.Tracer(scene, structure, device, precision=precision)
 
 
 def keep(hit: Any, payload: Any) -> None:
@@ -206,7 +212,8 @@ def check_feature(feature: str, kind: str, tracer: rs.Tracer, path: Path) -> Non
     with pytest.raises((rs.RaystreamError, ValueError)) as caught:
         run(tracer, path)
     said = SAYS[kind] if named != "worlds" else "world"
-    assert said in str(caught.value) or (kind == "worlds" and "instances" in str(caught.value))
+    is_placed = kind == "worlds" or kind.startswith("placed")
+    assert said in str(caught.value) or (is_placed and "instances" in str(caught.value))
 
 
 def _names(named: str) -> list[str]:

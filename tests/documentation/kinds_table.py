@@ -17,6 +17,9 @@ COLUMNS = {
     "spheres": "spheres",
     "fields": "height fields",
     "float64": "float64",
+    "placed spheres": "instances of spheres",
+    "placed fields": "instances of height fields",
+    "placed float64": "instances in float64",
 }
 
 BEGIN = ".. The table is written by tests/documentation/kinds_table.py.\n\n"
@@ -28,7 +31,7 @@ def written() -> str:
     lines = [
         ".. list-table::",
         "   :header-rows: 1",
-        "   :widths: 40 15 15 15 15",
+        "   :widths: 30 10 10 10 10 10 10 10",
         "",
         "   * - feature",
         *(f"     - {head}" for head in COLUMNS.values()),

@@ -147,8 +147,13 @@ class Float64Triangles(Triangles):
         They lie off the triangles' planes by a bound of the rounding of float64: about 2**-49 of
         the triangle's size and of the distance from the world's origin.
         """
-        corners = self.corners_at(hits.prim_id, hits.instance_id)
-        reach = np.abs(corners).max(axis=(-2, -1))
-        offset = _UNIT * (_SIZE_UNITS * size_of(corners) + _REACH_UNITS * reach)
+        offset = float64_offset(self.corners_at(hits.prim_id, hits.instance_id))
         side = side_of(hits.normals, directions)
         return hits.positions + (side * offset)[..., None] * hits.normals
+
+
+def float64_offset(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far from triangles, by corners of shape (..., 3, 3), rays that leave them start."""
+    reach = np.abs(corners).max(axis=(-2, -1))
+    offset: NDArray[np.float64] = _UNIT * (_SIZE_UNITS * size_of(corners) + _REACH_UNITS * reach)
+    return offset

@@ -1,10 +1,9 @@
-"""InstancedTriangles: the triangles of objects that are placed by instances."""
+"""InstancedTriangles: the geometry of objects that are placed by instances."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,34 +11,44 @@ from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
 from raystream.core.instances import Instances
+from raystream.core.placed_hits import PlacedHits
 from raystream.core.solid_parts import SolidPart
+from raystream.core.spheres import Spheres
 from raystream.core.store import Store
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
+
+#: Numbers that kernels have for a triangle of a mesh, for one of a height field, and for a sphere.
+_NUMBERS = np.array([1, 1, 2])
 
 #: Boxes of closed objects are grown by this much of their size: more than points round.
 _BOX_GROWTH = 2.0**-20
 
 
-class InstancedTriangles(Store):
-    """The triangles of a scene's objects, each in a local frame of its own, and their instances.
+class InstancedTriangles(PlacedHits):
+    """The geometry of a scene's objects, each in a local frame of its own, and their instances.
 
-    ``prim_id`` counts the triangles of the objects, however often they are placed. Kernels count
-    those of all instances, one instance after another: `split_ids` converts, and for many hits
-    `geometry.instances.hit_ids`.
+    ``prim_id`` counts the triangles of the objects' meshes, then those of their height fields, then
+    their spheres, however often they are placed. Kernels count the numbers of all instances, one
+    instance after another: `split_ids` converts, and for many hits `geometry.instances.hit_ids`.
 
     Parameters
     ----------
-    objects : sequence of Triangles
+    objects : sequence of Store
+        Without instances.
     instances : Instances
     mesh_splits : ndarray of shape (M + 1,), int64
-        Mesh i of the scene owns the prim_ids in [mesh_splits[i], mesh_splits[i + 1]).
+        Mesh i of the scene owns the prim_ids in [mesh_splits[i], mesh_splits[i + 1]); see
+        `Primitives`.
     attributes : Attributes
         Of the meshes.
 
     Attributes
     ----------
+    parts : ndarray of shape (O, 3, 2), int64
+        Of the triangles of each object's meshes, those of its height fields, and its spheres: the
+        first one's number in the object, and its prim_id.
     first_prims : ndarray of shape (O + 1,), int64
-        Object i owns the prim_ids in [first_prims[i], first_prims[i + 1]).
+        Object i owns the triangles of meshes in [first_prims[i], first_prims[i + 1]).
     first_ids : ndarray of shape (K + 1,), int64
         Instance k owns the numbers in [first_ids[k], first_ids[k + 1]).
 
@@ -55,51 +64,76 @@ class InstancedTriangles(Store):
 
     def __init__(
         self,
-        objects: Sequence[Triangles],
+        objects: Sequence[Store],
         instances: Instances,
         mesh_splits: NDArray[np.int64],
         attributes: Attributes,
     ) -> None:
         self.objects, self.instances = tuple(objects), instances
         self.world_count = instances.world_count
-        self.kinds = ("instances", "worlds") if self.world_count else ("instances",)
         self.mesh_splits, self.attributes = mesh_splits, attributes
-        counts = np.array([len(one) for one in self.objects], np.int64)
-        self.first_prims = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        held: list[Any] = [one for one in self.objects if one.has_primitives]
+        self.has_primitives = bool(held)
+        self.fields = tuple(field for one in held for field in one.fields)
+        self.spheres = Spheres.joined(one.spheres for one in held)
+        self.kinds = self._kinds()
+        if any(one.number_type is np.float64 for one in self.objects):
+            self.number_type = np.float64
+        counts = np.array([one.part_counts for one in self.objects], np.int64).reshape(-1, 3)
+        own, totals = counts * _NUMBERS, counts.sum(axis=0)
+        numbers = np.cumsum(own, axis=1) - own
+        prims = np.cumsum(counts, axis=0) - counts + np.cumsum(totals) - totals
+        self.parts = np.stack([numbers, prims], axis=2)
+        self.first_prims = np.concatenate([[0], np.cumsum(counts[:, 0])]).astype(np.int64)
+        self.first_fields = np.cumsum([totals[0], *map(len, self.fields)]).astype(np.int64)
         ids = instances.object_ids
         if len(ids) and not (ids.min() >= 0 and ids.max() < len(counts)):
             bad = int(np.argmax((ids < 0) | (ids >= len(counts))))
             raise ValueError(
                 f"object_ids: instance {bad} has object {ids[bad]}, but there are {len(counts):,}"
             )
-        self.first_ids = np.concatenate([[0], np.cumsum(counts[ids])]).astype(np.int64)
+        own_counts = own.sum(axis=1)[ids]
+        self.first_ids = np.concatenate([[0], np.cumsum(own_counts)]).astype(np.int64)
         if self.first_ids[-1] > MAX_TRIANGLES:
             raise ValueError(
                 f"scene: {self.first_ids[-1]:,} triangles in all instances are more than "
                 f"{MAX_TRIANGLES:,}"
             )
 
-    def _mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
-        """The parts are the instances; or, where one has no mask, the meshes of its object."""
-        own, masks = self.instances.masks, self.mesh_masks
+    def _kinds(self) -> tuple[str, ...]:
+        """Instances, and those of each kind of object."""
+        placed = sorted({f"placed {kind}" for one in self.objects for kind in one.kinds})
+        return ("instances", *["worlds"][: self.world_count], *placed)
+
+    def mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
+        """The parts are the instances; or, where one has no mask, the parts of its object."""
+        own = self.instances.masks
         if own is None:
             own = np.zeros(len(self.instances), np.uint32)
         if own.all():
             return self.first_ids[:-1], own
-        meshes = np.searchsorted(self.mesh_splits, self.first_prims)
+        held = [one.mask_parts() for one in self.objects]
+        firsts, masks = (np.concatenate(column) for column in zip(*held, strict=True))
+        sizes = np.array([len(first) for first, _ in held])
         ids = self.instances.object_ids
-        counts = np.diff(meshes)[ids]
+        counts = sizes[ids]
         instance = np.repeat(np.arange(len(ids)), counts)
         within = np.arange(len(instance)) - np.repeat(np.cumsum(counts) - counts, counts)
-        mesh = meshes[ids][instance] + within
-        firsts = self.mesh_splits[mesh] - self.first_prims[ids][instance]
-        chosen = np.where(own[instance] > 0, own[instance], masks[mesh])
-        return self.first_ids[instance] + firsts, chosen
+        row = (np.cumsum(sizes) - sizes)[ids][instance] + within
+        chosen = np.where(own[instance] > 0, own[instance], masks[row])
+        return self.first_ids[instance] + firsts[row], chosen
 
     def saved_masks(self) -> dict[str, NDArray[np.uint32]]:
         """See `Store.saved_masks`."""
         own = self.instances.masks
-        return super().saved_masks() | ({} if own is None else {"instances": own})
+        return {
+            **{
+                f"object{k}.{name}": masks
+                for k, one in enumerate(self.objects)
+                for name, masks in one.saved_masks().items()
+            },
+            **({} if own is None else {"instances": own}),
+        }
 
     @cached_property
     def instance_masks(self) -> NDArray[np.uint32]:
@@ -112,13 +146,9 @@ class InstancedTriangles(Store):
         return np.array_equal(self.instance_masks, self._instance_masks(np.bitwise_and))
 
     def _instance_masks(self, combine: np.ufunc) -> NDArray[np.uint32]:
-        """Each instance's own mask, or those of its object's meshes combined."""
-        own, masks = self.instances.masks, self.mesh_masks
-        meshes = np.searchsorted(self.mesh_splits, self.first_prims)
-        of_objects = [
-            combine.reduce(masks[first:end], initial=masks[first]) if end > first else 0
-            for first, end in pairwise(meshes)
-        ]
+        """Each instance's own mask, or those of its object's parts combined."""
+        own = self.instances.masks
+        of_objects = [combine.reduce(one.mask_runs.masks) for one in self.objects]
         found = np.array(of_objects, np.uint32)[self.instances.object_ids]
         return found if own is None else np.where(own > 0, own, found)
 
@@ -127,7 +157,7 @@ class InstancedTriangles(Store):
         return InstancedTriangles(self.objects, instances, self.mesh_splits, self.attributes)
 
     def __len__(self) -> int:
-        return int(self.first_prims[-1])
+        return int(self.first_fields[-1]) + len(self.spheres)
 
     @property
     def number_count(self) -> int:
@@ -176,12 +206,12 @@ class InstancedTriangles(Store):
         return arrays | {"mesh_splits": self.mesh_splits}
 
     def object_corners(self) -> NDArray[np.float32]:
-        """Corners of all objects' triangles, by prim_id, shape (F, 3, 3), float32.
+        """Corners of all triangles of meshes, by prim_id, shape (F, 3, 3), float32.
 
         Each object's in its own local frame.
         """
-        none = np.zeros((0, 3, 3), np.float32)
-        return np.concatenate([none, *(one.corners for one in self.objects)])
+        none, held = np.zeros((0, 3, 3), np.float32), self.objects
+        return np.concatenate([none, *(one.object_corners() for one in held)])
 
     def some(self, most: int) -> Triangles:
         """Some triangles where the instances are, in world space; all if they are few.
@@ -189,14 +219,31 @@ class InstancedTriangles(Store):
         Parameters
         ----------
         most : int
-            How many, at most. They are spread evenly over the numbers of all triangles.
+            How many, at most. They are spread evenly over the numbers of all triangles. Where
+            there are spheres, some of some instances.
         """
+        if self.has_primitives:
+            return self._some_primitives(most)
         total = self.number_count
         numbers = np.arange(0, total, max(1, -(-total // most)), dtype=np.int32)
         prim_id, instance_id = self.split_ids(numbers)
         points = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
         faces = np.arange(3 * len(numbers), dtype=np.int32).reshape(-1, 3)
         return Triangles([(points.reshape(-1, 3), faces)])
+
+    def _some_primitives(self, most: int) -> Triangles:
+        """Triangles near the primitives of instances, in world space."""
+        placed, points = self.instances, [np.zeros((0, 3))]
+        step = max(1, -(-2 * len(placed) // most))
+        share = max(2, most // max(1, -(-len(placed) // step)))
+        held = {k: self.objects[k] for k in set(placed.object_ids[::step].tolist())}
+        some = {k: one.some(share) if one.has_primitives else one for k, one in held.items()}
+        for k, matrix in zip(placed.object_ids[::step], placed.transforms[::step], strict=True):
+            near: Any = some[int(k)]
+            own = near.to_world(near.corners[:: max(1, len(near) // share)]).reshape(-1, 3)
+            points.append(own @ matrix[:, :3].T + matrix[:, 3])
+        vertices = np.concatenate(points)
+        return Triangles([(vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3))])
 
     @property
     def degenerate_count(self) -> int:
@@ -251,7 +298,7 @@ class InstancedTriangles(Store):
             column = transforms[:, :, k]
             center += column * centers[ids, k, None]
             half += np.abs(column) * halves[ids, k, None]
-        is_empty = np.array([len(one.prim_ids) == 0 for one in self.objects], bool)
+        is_empty = np.array([one.is_empty for one in self.objects], bool)
         return center - half, center + half, is_empty[ids]
 
     def split_ids(self, numbers: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -268,42 +315,71 @@ class InstancedTriangles(Store):
         found = np.where(is_hit, instance_id, 0)
         if len(self.instances) == 0:
             return np.array(numbers), instance_id
-        offset = self.first_prims[self.instances.object_ids[found]] - self.first_ids[found]
-        return np.where(is_hit, numbers + offset, -1).astype(np.int32), instance_id
+        objects, own = self.instances.object_ids[found], numbers - self.first_ids[found]
+        if not self.has_primitives:
+            return np.where(is_hit, own + self.first_prims[objects], -1).astype(np.int32), (
+                instance_id
+            )
+        part = (own >= self.parts[objects, 1, 0]).astype(np.int64)
+        part += own >= self.parts[objects, 2, 0]
+        numbers_before, prims_before = np.moveaxis(self.parts[objects, part], -1, 0)
+        prims = prims_before + ((own - numbers_before) >> (part == 2))
+        return np.where(is_hit, prims, -1).astype(np.int32), instance_id
 
     def numbers_of(
         self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
     ) -> NDArray[np.int64]:
-        """The numbers of triangles among those of all instances; of misses -1."""
+        """The numbers of triangles, or of where rays enter spheres, of instances; of misses -1."""
         numbers = np.full(prim_id.shape, -1, np.int64)
         is_hit = prim_id >= 0
-        ids = instance_id[is_hit]
-        first_prims = self.first_prims[self.instances.object_ids[ids]]
-        numbers[is_hit] = prim_id[is_hit] - first_prims + self.first_ids[ids]
+        ids, prims = instance_id[is_hit], prim_id[is_hit]
+        part = self.parts_of(prims)
+        places = self.parts[self.instances.object_ids[ids], part]
+        within = (prims - places[:, 1]) * _NUMBERS[part]
+        numbers[is_hit] = self.first_ids[ids] + places[:, 0] + within
         return numbers
+
+    def are_of(
+        self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
+    ) -> NDArray[np.bool_]:
+        """Whether primitives are of the objects of instances."""
+        found = self.split_ids(self.numbers_of(prim_id, instance_id))
+        return (found[0] == prim_id) & (found[1] == instance_id)
 
     def solid_numbers(self) -> NDArray[np.int64]:
         """The numbers of triangles that can be hit, increasing."""
-        ids, none = self.instances.object_ids, np.zeros(0, np.int64)
-        parts = [none]
+        return self._placed_numbers([one.solid_numbers() for one in self.objects])
+
+    def face_numbers(self) -> NDArray[np.int64]:
+        """See `Store.face_numbers`; spheres have the number of where rays enter."""
+        held = []
         for k, one in enumerate(self.objects):
+            prims, first = one.face_numbers(), self.parts[k, 2, 0]
+            held.append(prims + np.maximum(prims - first, 0))
+        return self._placed_numbers(held)
+
+    def _placed_numbers(self, held: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
+        """Numbers in objects, as those of all instances, increasing."""
+        ids, parts = self.instances.object_ids, [np.zeros(0, np.int64)]
+        for k, numbers in enumerate(held):
             firsts = self.first_ids[:-1][ids == k]
-            parts.append((firsts[:, None] + one.prim_ids).reshape(-1))
-        numbers = np.concatenate(parts)
-        numbers.sort()
-        return numbers
+            parts.append((firsts[:, None] + numbers).reshape(-1))
+        found = np.concatenate(parts)
+        found.sort()
+        return found
 
     def solid_parts(self) -> list[SolidPart]:
-        """The object of each instance; see `Store`."""
-        firsts = np.searchsorted(self.mesh_splits, self.first_prims[:-1], side="right") - 1
+        """The parts of the object of each instance; see `Store`."""
         low, high, is_empty = self.boxes(_BOX_GROWTH)
+        parts = [self._object_parts(k) for k in range(len(self.objects))]
         ids, inverses = self.instances.object_ids.tolist(), self.instances.inverses
         return [
-            SolidPart(self.objects[k], int(firsts[k]), inverse, np.array([below, above]))
+            part._replace(inverse=inverse, box=np.array([below, above]))
             for k, inverse, below, above, hidden in zip(
                 ids, inverses, low, high, is_empty, strict=True
             )
             if not hidden
+            for part in parts[k]
         ]
 
     # Geometry of hits, each in the frame of its object.
@@ -320,7 +396,7 @@ class InstancedTriangles(Store):
 
     def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
         """See `Store.local_corners`."""
-        prim_id, instance_id = self.split_ids(numbers.astype(np.int32))
+        prim_id, instance_id = self.ids_of(numbers.astype(np.int32))
         corners = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
         return (corners - self.center) * self.scale
 

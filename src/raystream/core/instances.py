@@ -242,6 +242,12 @@ def inverse_transforms(
     return np.ascontiguousarray(inverses.reshape(12, -1).T).reshape(-1, 3, 4), condition
 
 
+def moved(matrices: NDArray[np.float64], points: NDArray[Any]) -> NDArray[np.float64]:
+    """Points of shape (N, 3), each moved by its transform of shape (3, 4)."""
+    found: NDArray[np.float64] = np.einsum("kij,kj->ki", matrices[:, :, :3], points)
+    return found + matrices[:, :, 3]
+
+
 def _inverse(matrix: NDArray[np.float64]) -> Any:
     try:
         return np.linalg.inv(matrix)

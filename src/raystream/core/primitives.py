@@ -24,7 +24,66 @@ if TYPE_CHECKING:
 LEAVING = 2.0**-48
 
 
-class Primitives(Store):
+class PrimitiveStore(Store):
+    """Where ``prim_id`` counts the triangles of meshes, those of height fields, then spheres.
+
+    Attributes
+    ----------
+    fields : tuple of HeightField
+    spheres : Spheres
+    first_fields : ndarray of shape (K + 1,), int64
+        Field k owns the prim_ids in [first_fields[k], first_fields[k + 1]); the last number is the
+        first sphere's.
+    """
+
+    spheres: Spheres
+    first_fields: NDArray[np.int64]
+
+    def sphere_rows(self, prim_id: NDArray[np.int32]) -> NDArray[np.int64]:
+        """The spheres of hits, -1 for other primitives and misses."""
+        first = int(self.first_fields[-1])
+        return np.where(prim_id >= first, prim_id.astype(np.int64) - first, -1)
+
+    def _on_spheres(
+        self, hits: HitColumns
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.float64]]:
+        """Which hits are of spheres; of these the spheres, and unit vectors from their centres."""
+        rows = self.sphere_rows(hits.prim_id)
+        is_sphere = rows >= 0
+        return is_sphere, rows[is_sphere], directions_at(hits.u[is_sphere], hits.v[is_sphere])
+
+    def beside(
+        self,
+        rows: NDArray[np.int64],
+        normals: NDArray[np.float64],
+        directions: NDArray[Any],
+        far: Any = 0.0,
+    ) -> NDArray[np.float64]:
+        """Points beside spheres, shape (N, 3), on the sides that directions point to.
+
+        `normals` are of the points on the spheres; `far` is the length of the other numbers that
+        rays' origins are rounded at.
+        """
+        centers, radii = self.spheres.centers[rows], self.spheres.radii[rows]
+        side = np.einsum("ij,ij->i", normals, directions)
+        side = np.where(side >= 0.0, 1.0, -1.0)
+        offset = LEAVING * (radii + np.abs(centers).max(axis=1, initial=0.0) + far)
+        beside: NDArray[np.float64] = centers + (radii + side * offset)[:, None] * normals
+        return beside
+
+    def materials_at(self, prim_id: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Materials of hits, int32; -1 for misses."""
+        materials = super().materials_at(prim_id)
+        firsts = self.first_fields
+        for k, field in enumerate(self.fields):
+            is_here = (prim_id >= firsts[k]) & (prim_id < firsts[k + 1])
+            materials[is_here] = field.material_id
+        spheres = self.sphere_rows(prim_id)
+        materials[spheres >= 0] = self.spheres.material_ids[spheres[spheres >= 0]]
+        return materials
+
+
+class Primitives(PrimitiveStore):
     """Triangles, height fields and spheres.
 
     ``prim_id`` counts the triangles of the meshes, then those of the height fields, then the
@@ -52,8 +111,7 @@ class Primitives(Store):
     mesh_splits : ndarray of shape (M + 1,), int64
         Meshes, then one row for each height field, then one for all spheres, if there are any.
     first_fields : ndarray of shape (K + 1,), int64
-        Field k owns the prim_ids in [first_fields[k], first_fields[k + 1]); the last number is the
-        first sphere's.
+        See `PrimitiveStore`.
 
     Raises
     ------
@@ -87,8 +145,8 @@ class Primitives(Store):
         self.mesh_splits = np.concatenate([triangles.mesh_splits, ends]).astype(np.int64)
         world = self._bounds(triangles)
         count = len(triangles.prim_ids) + len(spheres)
-        self._is_empty = not count and all(one.is_empty for one in fields)
-        self.center, self.scale = (np.zeros(3), 1.0) if self._is_empty else local_frame(*world)
+        self.is_empty = not count and all(one.is_empty for one in fields)
+        self.center, self.scale = (np.zeros(3), 1.0) if self.is_empty else local_frame(*world)
         self.triangles = self._in_frame(triangles)
         bounds = (world - self.center) * self.scale
         self.bounds = bounds.astype(np.float32)
@@ -116,7 +174,7 @@ class Primitives(Store):
         moved.attributes = triangles.attributes
         return moved
 
-    def _mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
+    def mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
         """The parts are the meshes, the height fields and the spheres."""
         count = len(self.spheres)
         numbers = self.first_fields[-1] + 2 * np.arange(count)
@@ -131,6 +189,12 @@ class Primitives(Store):
     def __len__(self) -> int:
         return int(self.first_fields[-1]) + len(self.spheres)
 
+    @property
+    def part_counts(self) -> tuple[int, int, int]:
+        """See `Store.part_counts`."""
+        first, last = int(self.first_fields[0]), int(self.first_fields[-1])
+        return first, last - first, len(self.spheres)
+
     def __reduce__(self) -> tuple[Any, ...]:
         return Primitives, self._given
 
@@ -142,7 +206,7 @@ class Primitives(Store):
     @property
     def world_bounds(self) -> NDArray[np.float64]:
         """`bounds` in world space, shape (2, 3), float64; zeros if nothing can be hit."""
-        return np.zeros((2, 3)) if self._is_empty else self.to_world(self.bounds)
+        return np.zeros((2, 3)) if self.is_empty else self.to_world(self.bounds)
 
     @property
     def degenerate_count(self) -> int:
@@ -220,11 +284,6 @@ class Primitives(Store):
     # Geometry of hits. Spheres have no corners: NaN. On them, u and v are where the hit is, see
     # `core.spheres.directions_at`, and normals point away from the centre.
 
-    def sphere_rows(self, prim_id: NDArray[np.int32]) -> NDArray[np.int64]:
-        """The spheres of hits, -1 for other primitives and misses."""
-        first = int(self.first_fields[-1])
-        return np.where(prim_id >= first, prim_id.astype(np.int64) - first, -1)
-
     def corners_at(
         self,
         prim_id: NDArray[np.int32],
@@ -242,14 +301,6 @@ class Primitives(Store):
             if len(rows):
                 corners[rows] = field.corners_of(prims[rows] - firsts[k], local)
         return corners.reshape(*prim_id.shape, 3, 3)
-
-    def _on_spheres(
-        self, hits: HitColumns
-    ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.float64]]:
-        """Which hits are of spheres; of these the spheres, and unit vectors from their centres."""
-        rows = self.sphere_rows(hits.prim_id)
-        is_sphere = rows >= 0
-        return is_sphere, rows[is_sphere], directions_at(hits.u[is_sphere], hits.v[is_sphere])
 
     def planes_at(self, hits: HitColumns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """See `Store.planes_at`; a sphere's is the plane that touches it at the hit."""
@@ -291,18 +342,8 @@ class Primitives(Store):
         """
         origins = super().spawned(hits, directions)
         is_sphere, rows, normals = self._on_spheres(hits)
-        side = np.einsum("ij,ij->i", normals, directions[is_sphere])
-        origins[is_sphere] = self.beside_spheres(rows, normals, np.where(side >= 0.0, 1.0, -1.0))
+        origins[is_sphere] = self.beside(rows, normals, directions[is_sphere])
         return origins
-
-    def beside_spheres(
-        self, rows: NDArray[np.int64], normals: NDArray[np.float64], sides: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Where rays leave spheres, world space, outward (side 1) or inward (-1)."""
-        centers, radii = self.spheres.centers[rows], self.spheres.radii[rows]
-        offset = LEAVING * (radii + np.abs(centers).max(axis=1, initial=0.0))
-        places: NDArray[np.float64] = centers + (radii + sides * offset)[:, None] * normals
-        return places
 
     def flat_corners(self, hits: HitColumns) -> NDArray[np.float32]:
         """Corners of flat surfaces, shape (N, 3, 3), float32, local frame; 0 for misses.
@@ -323,17 +364,6 @@ class Primitives(Store):
         corners[is_sphere] = np.stack([first, second, third], axis=1)
         corners[hits.prim_id < 0] = 0.0
         return corners.astype(np.float32)
-
-    def materials_at(self, prim_id: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Materials of hits, int32; -1 for misses."""
-        materials = super().materials_at(prim_id)
-        firsts = self.first_fields
-        for k, field in enumerate(self.fields):
-            is_here = (prim_id >= firsts[k]) & (prim_id < firsts[k + 1])
-            materials[is_here] = field.material_id
-        spheres = self.sphere_rows(prim_id)
-        materials[spheres >= 0] = self.spheres.material_ids[spheres[spheres >= 0]]
-        return materials
 
     def some(self, most: int) -> Triangles:
         """Some triangles near the primitives, to choose a camera by.

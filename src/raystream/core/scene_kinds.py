@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from raystream.core.store import Store
 
 #: Kinds of scene besides triangles in float32: what is said of each where it is not supported.
-#: A scene may be of several; those in worlds also have instances.
+#: A scene may be of several; those in worlds, and of placed kinds, also have instances.
 REFUSALS: Mapping[str, str] = MappingProxyType(
     {
         "instances": "not supported in a scene with instances; scene.flattened() is the same scene "
@@ -22,6 +22,9 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
         "spheres": "not supported in a scene with spheres",
         "fields": "not supported in a scene with height fields",
         "float64": "not supported with precision='float64'",
+        "placed float64": "not supported in a scene with instances and precision='float64'",
+        "placed spheres": "not supported in a scene with instances of spheres",
+        "placed fields": "not supported in a scene with instances of height fields",
     }
 )
 
@@ -31,10 +34,13 @@ MACHINE_REFUSAL = "not supported with"
 _ALL = tuple(REFUSALS)
 _PLACED = ("instances", "worlds")
 _PRIMITIVES = ("spheres", "fields")
-_ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
+_BOTH = ("placed spheres", "placed fields")
+_ONE = ("instances", *_PRIMITIVES, "float64")
+_ONE_WORLD = (*_ONE, *_BOTH, "placed float64")
 
 # Why a kind of scene lacks a feature.
 _SETS = "worlds are sets of instances"
+_DEVICE = "its traversal on the device finds triangles in instances"
 
 
 class Feature(NamedTuple):
@@ -69,9 +75,14 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "structure='bvh'": Feature(_ALL),
         "structure='brute'": Feature(_ALL),
         "device='cpu', machine='branching'": Feature(_ALL),
-        "device='cuda', machine='branching'": Feature(_ALL, '``device="cuda"``'),
+        "precision='float64'": Feature(("instances", "worlds", "float64", "placed float64")),
+        "device='cuda', machine='branching'": Feature(
+            (*_ONE, "worlds"), '``device="cuda"``', _DEVICE
+        ),
         "device='graphics', machine='compute'": Feature(_PLACED),
-        "worlds": Feature(_PLACED, "``worlds=``, `Tracer.in_world`", _SETS),
+        "worlds": Feature(
+            (*_PLACED, *_BOTH, "placed float64"), "``worlds=``, `Tracer.in_world`", _SETS
+        ),
         "counters=True": Feature(_ALL, "``counters=True``"),
         "on_hit, skip_prim_ids": Feature(_ALL, "``on_hit=``, ``skip_prim_ids=``"),
         "trace": Feature(_ALL, "`Tracer.trace`"),
@@ -80,7 +91,10 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             _ALL,
             "`Tracer.update`",
             notes={
-                "instances": "transforms, camera, lights",
+                **dict.fromkeys(
+                    ("instances", "placed spheres", "placed fields", "placed float64"),
+                    "transforms, camera, lights",
+                ),
                 "spheres": "a scene of as many",
                 "fields": "a scene of as many samples",
             },
@@ -103,7 +117,9 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "inside tests": Feature(
             _ALL,
             "`contains`",
-            notes={"fields": '``method="winding"``: they are open surfaces'},
+            notes=dict.fromkeys(
+                ("fields", "placed fields"), '``method="winding"``: they are open surfaces'
+            ),
         ),
         "winding numbers": Feature(_ALL, "`winding_number`"),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),

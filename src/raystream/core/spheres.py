@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,6 +62,17 @@ class Spheres:
         ids = _spread("material_ids", ids, count).astype(np.int32)
         masks = np.broadcast_to(np.uint32(as_mask("mask", mask)), (count,))
         return cls(places, sizes, ids, masks)
+
+    @classmethod
+    def joined(cls, parts: Iterable[Spheres]) -> Spheres:
+        """The spheres of several parts, one after another."""
+        held = [vars(one) for one in (NO_SPHERES, *parts)]
+        return cls(**{name: np.concatenate([one[name] for one in held]) for name in held[0]})
+
+    def are_same(self, other: Spheres) -> bool:
+        """Whether others have the same numbers."""
+        others = vars(other)
+        return all(np.array_equal(own, others[name]) for name, own in vars(self).items())
 
     def __len__(self) -> int:
         return len(self.radii)

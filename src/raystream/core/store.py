@@ -32,6 +32,7 @@ class Store:
         Of t, u, v and normals of hits.
     has_primitives : bool
         Whether there may be spheres and height fields.
+    fields : tuple of HeightField
     instances : Instances or None
     world_count : int
         0 without instances in worlds.
@@ -50,6 +51,7 @@ class Store:
     kinds: tuple[str, ...] = ()
     number_type: type[np.floating[Any]] = np.float32
     has_primitives: bool = False
+    fields: tuple[Any, ...] = ()
     instances: Instances | None = None
     world_count: int = 0
     attributes: Attributes | None = None
@@ -57,6 +59,9 @@ class Store:
     center: NDArray[np.float64]
     scale: float
     max_coordinate: np.float32
+
+    #: Whether nothing can be hit.
+    is_empty: bool
 
     #: Corners of triangles by prim_id and instance_id, shape (..., 3, 3), float64, in the local
     #: frame; NaN for -1, and where there is no triangle.
@@ -73,6 +78,11 @@ class Store:
 
     def __len__(self) -> int:
         raise NotImplementedError
+
+    @property
+    def part_counts(self) -> tuple[int, int, int]:
+        """How many triangles of meshes, triangles of height fields, and spheres there are."""
+        return len(self), 0, 0
 
     # Ids, and the numbers that kernels have for them.
 
@@ -119,7 +129,7 @@ class Store:
     @cached_property
     def mask_runs(self) -> MaskRuns:
         """The masks of the geometry, by kernels' numbers."""
-        return MaskRuns.of(*self._mask_parts())
+        return MaskRuns.of(*self.mask_parts())
 
     @cached_property
     def mesh_masks(self) -> NDArray[np.uint32]:
@@ -131,7 +141,7 @@ class Store:
         """The masks of parts of each kind, for files."""
         return {"meshes": self.mesh_masks}
 
-    def _mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
+    def mask_parts(self) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
         """The first numbers of the parts that have a mask each, and these masks."""
         return self.mesh_splits[:-1], self.mesh_masks
 
@@ -185,6 +195,14 @@ class Store:
             `max_coordinate`; and the length of the numbers that world positions are rounded at.
         """
         return float(self.max_coordinate), np.abs(self.center).max() * self.scale
+
+    def world_lengths(
+        self,
+        lengths: Any,
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> Any:
+        """Lengths near hits in the local frame as the most that they are in world space."""
+        return np.float64(lengths) / self.scale
 
     # Geometry of hits.
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.solid_parts import SolidPart
 from raystream.core.store import Store
+
+if TYPE_CHECKING:
+    from raystream.core.hits import HitColumns
 
 #: Coordinates beyond this count as non-finite: products of three would leave float64.
 MAX_COORDINATE = 2.0**200
@@ -188,6 +191,11 @@ class Triangles(Store):
             return np.arange(len(self), dtype=np.int32)
         return self._prim_ids
 
+    @property
+    def is_empty(self) -> bool:  # type: ignore[override]
+        """Whether nothing can be hit."""
+        return len(self.prim_ids) == 0
+
     def solid_numbers(self) -> NDArray[np.integer[Any]]:
         """The kernels' numbers of triangles that can be hit: `prim_ids`."""
         return self.prim_ids
@@ -245,6 +253,10 @@ class Triangles(Store):
         corners = self.corners[prim_id].astype(np.float64)
         corners[prim_id < 0] = np.nan
         return corners
+
+    def flat_corners(self, hits: HitColumns) -> NDArray[np.float32]:
+        """Corners of the triangles that are hit, shape (N, 3, 3), float32, local frame."""
+        return self.corners[hits.prim_id]
 
     @property
     def world_bounds(self) -> NDArray[np.float64]:

@@ -99,7 +99,7 @@ def structure_kernels(
     dict
         By query.
     """
-    triangles = scene.triangles if precision == "float32" else float64_triangles(scene)
+    triangles = scene.triangles if precision == "float32" else float64_triangles(scene.geometry)
     structure = build_on_cpu(options_of(name, options), triangles)
     answers = kernels_of(traced_as(structure), is_own=is_own)
     tree = lay_out(structure, is_own=is_own).tree

@@ -177,9 +177,8 @@ class Emitter:
         origins = self._patches.triangles.to_world(origins)
         if is_sphere.any():
             store: Any = self._patches.triangles
-            outward = outward[is_sphere]
-            sides = np.einsum("nk,nk->n", outward, normal[is_sphere])
-            origins[is_sphere] = store.beside_spheres(rows[is_sphere], outward, np.sign(sides))
+            around = rows[is_sphere], outward[is_sphere], normal[is_sphere]
+            origins[is_sphere] = store.beside(*around)
         return origins, directions
 
     def _triangles(self, chosen: NDArray[np.intp]) -> _TriangleTable:

@@ -94,7 +94,7 @@ def placed_planes(hits: Hits, triangles: InstancedTriangles) -> PlacedPlanes:
         return found
     some, instances = hits[rows], triangles.instances
     ids = some.instance_id
-    extents = size_of(triangles.corners_at(some.prim_id, ids))
+    extents = triangles.local_sizes(some)
     normals = triangles.local_normals(some)
     reach = np.abs(triangles.local_positions(some)).max(axis=-1)
     most, world = triangles.reaches_at(ids)

@@ -101,9 +101,7 @@ def _instances(values: Any, prim_ids: NDArray[Any], triangles: Any) -> NDArray[n
     count = len(triangles.instances)
     if found.any() and not (ids[found].min() >= 0 and ids[found].max() < count):
         raise ValueError(f"instance_ids: expected 0 to {count - 1:,}")
-    objects = triangles.instances.object_ids[ids[found]]
-    first, end = triangles.first_prims[objects], triangles.first_prims[objects + 1]
-    is_own = (first <= prim_ids[found]) & (prim_ids[found] < end)
+    is_own = triangles.are_of(prim_ids[found], ids[found])
     if not is_own.all():
         wrong = int(np.argmin(is_own))
         raise ValueError(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.checks import check_least
+from raystream.core.instances import moved
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_vector
 from raystream.core.scene_kinds import check_support
@@ -186,7 +187,7 @@ def _look_for_others(
             prim_ids, instance_ids = triangles.ids_of(faces.astype(np.int32))
             at: tuple[Any, Any] = (u, v)
             if triangles.has_primitives and not number:
-                at = _nearest_points(camera, size, triangles, prim_ids, at)
+                at = _nearest_points(camera, size, triangles, (prim_ids, instance_ids), at)
             centers = surface_points(tracer, prim_ids, *at, instance_ids)
             stops = end_points("faces", centers, None, triangles)
             origins, is_inside = seen_from(camera, size, stops.positions)
@@ -209,15 +210,23 @@ def _nearest_points(
     camera: Camera,
     size: tuple[int, int],
     triangles: Any,
-    prim_ids: NDArray[np.int32],
+    ids: tuple[NDArray[np.int32], NDArray[np.int32] | None],
     otherwise: tuple[float, float],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The u and v of points: of spheres, those nearest the camera; else as given."""
-    rows = triangles.sphere_rows(prim_ids)
+    """The u and v of points: of spheres, those toward the camera from their centres.
+
+    Otherwise as given. In instances, as the object sees the camera.
+    """
+    rows = triangles.sphere_rows(ids[0])
     u, v = (np.full(len(rows), one) for one in otherwise)
     is_sphere = rows >= 0
-    centers = triangles.spheres.centers[rows[is_sphere]]
-    eyes, _ = seen_from(camera, size, centers)
+    centers, placed = triangles.spheres.centers[rows[is_sphere]], triangles.instances
+    if placed is None or ids[1] is None:
+        eyes, _ = seen_from(camera, size, centers)
+    else:
+        found = ids[1][is_sphere]
+        eyes, _ = seen_from(camera, size, moved(placed.transforms[found], centers))
+        eyes = moved(placed.inverses[found], eyes)
     u[is_sphere], v[is_sphere] = numbers_toward(eyes - centers)
     return u, v
 

@@ -62,17 +62,19 @@ def classify_hits(
     cosine = np.einsum("nk,nk->n", hits._world_normals(), directions[rays])
     exits = (cosine > 0.0) != is_flipped[out.mesh_id]
     # Step 2: of two hits of one sphere, the second is the exit, however much it was grazed.
-    order = np.lexsort((np.arange(len(rays)), hits.prim_id, rays))
+    ids = hits.instance_id
+    order = np.lexsort((np.arange(len(rays)), hits.prim_id, ids, rays))
     first, second = order[:-1], order[1:]
     is_pair = (hits.prim_id[first] == hits.prim_id[second]) & (rays[first] == rays[second])
+    is_pair &= ids[first] == ids[second]
     is_pair &= store.sphere_rows(hits.prim_id[first]) >= 0
     exits[first[is_pair]], exits[second[is_pair]] = False, True
     out.kind[:] = exits
     # Step 3: what rounding may have moved t by, as `pairing.classify_crossing` has it.
     is_wide = store.number_type is np.float64
-    extent, far = store.reaches_at(hits.instance_id)
+    extent, far = store.reaches_at(ids)
     near = np.abs(batch.origins[rows].astype(np.float64) - store.center).max(axis=1, initial=0.0)
-    reach = np.float64(extent) / store.scale + near[rays] + (far / store.scale if is_wide else 0.0)
+    reach = store.world_lengths(extent + far if is_wide else extent, ids) + near[rays]
     with np.errstate(invalid="ignore", divide="ignore"):
         aside = (_PAD_F64 if is_wide else float(PAD)) * reach / lengths[rays]
         rounding = 2.0**-51 if is_wide else ROUNDING

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -22,6 +22,7 @@ from raystream.jit.cpu import kernel
 from raystream.kernels.ray import prepare_ray
 from raystream.kernels.ray_source import load_ray
 from raystream.kernels.solids import Solids, solids_of
+from raystream.physics.hit_crossings import solids_with
 from raystream.physics.pairing import classify_crossing
 
 
@@ -56,26 +57,27 @@ class PlacedSolids:
     def __init__(self, structure: InstancedStructure) -> None:
         triangles: InstancedTriangles = structure.triangles
         self._triangles = triangles
-        found = [solids_of(one) for one in triangles.objects]
-        none = np.zeros(0, bool)
-        self.solids = Solids(
-            np.concatenate([none, *(one.is_closed for one in found)]),
-            np.concatenate([none, *(one.is_flipped for one in found)]),
-            np.concatenate([none, *(one.is_empty for one in found)]),
-            np.concatenate([none, *(one.has_slivers for one in found)]),
-            np.concatenate([np.zeros(0), *(one.volumes for one in found)]),
-            all(one.is_closed_together for one in found),
-        )
+        found = [
+            solids_with(one) if one.has_primitives else solids_of(one) for one in triangles.objects
+        ]
         counts = np.array([len(one.is_closed) for one in found], np.int64)
         ids = triangles.instances.object_ids
-        first_meshes = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        of_instances = counts[ids] if len(ids) else np.zeros(0, np.int64)
+        first_rows = np.cumsum(counts) - counts
+        of_instances = counts[ids]
         self._first_solids = np.concatenate([[0], np.cumsum(of_instances)]).astype(np.int64)
-        # Of an instance: its first solid's number less its object's first mesh.
-        self._shifts = self._first_solids[:-1] - first_meshes[:-1][ids]
+        # Of an instance: its first solid's number less the row of its object's first one.
+        self._shifts = self._first_solids[:-1] - first_rows[ids]
         rows = np.arange(self._first_solids[-1]) - np.repeat(self._shifts, of_instances)
-        self.is_closed: NDArray[np.bool_] = self.solids.is_closed[rows]
         self._rows, self._counts = rows, of_instances
+        self._meshes, self._mesh_shifts = _mesh_rows(triangles, counts)
+        joined = [np.concatenate([[], *column]) for column in list(zip(*found, strict=True))[:5]]
+        self._volumes, is_closed = joined[4], joined[0].astype(bool)
+        self.is_closed: NDArray[np.bool_] = is_closed[rows]
+        self.solids = Solids(
+            *(self._by_mesh(one) for one in joined[:4]),
+            self._volumes,
+            all(one.is_closed_together for one in found),
+        )
         self.corners = triangles.object_corners()
         self._instances = instance_records(triangles, np.arange(len(ids)))
         self._objects = object_records(structure.objects)
@@ -85,12 +87,18 @@ class PlacedSolids:
         ]
         self.records = _RecordsAt(*addresses)
 
+    def _by_mesh(self, values: NDArray[Any]) -> NDArray[np.bool_]:
+        """Values of objects' solids by the scene's meshes."""
+        found = np.zeros(len(self._triangles.mesh_splits) - 1, np.bool_)
+        found[self._meshes] = values.astype(bool)
+        return found
+
     @cached_property
     def volumes(self) -> NDArray[np.float64]:
         """Absolute volumes of the solids, shape (L,), in world units; see `Solids`."""
         linear = self._triangles.instances.transforms[:, :, :3]
         sizes = np.repeat(np.abs(np.linalg.det(linear)), self._counts)
-        return self.solids.volumes[self._rows] * sizes
+        return self._volumes[self._rows] * sizes
 
     @classmethod
     def of(cls, structure: InstancedStructure) -> PlacedSolids:
@@ -104,13 +112,16 @@ class PlacedSolids:
         self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
     ) -> NDArray[np.int32]:
         """The solids of triangles in instances."""
-        meshes = np.searchsorted(self._triangles.mesh_splits, prim_id, side="right") - 1
-        return (meshes + self._shifts[instance_id]).astype(np.int32)
+        held = self._triangles
+        meshes = np.searchsorted(held.mesh_splits, prim_id, side="right") - 1
+        objects = held.instances.object_ids[instance_id]
+        rows = meshes + self._mesh_shifts[objects, held.parts_of(prim_id)]
+        return (rows + self._shifts[instance_id]).astype(np.int32)
 
     def split(self, solid_ids: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """The mesh and the instance of each solid."""
         instance_id = np.searchsorted(self._first_solids, solid_ids, side="right") - 1
-        mesh_id = solid_ids - self._shifts[instance_id]
+        mesh_id = self._meshes[solid_ids - self._shifts[instance_id]]
         return mesh_id.astype(np.int32), instance_id.astype(np.int32)
 
     def in_object(
@@ -119,10 +130,35 @@ class PlacedSolids:
         """The object of a solid, the mesh's number in it, and points of shape (N, 3) there."""
         instance_id = int(np.searchsorted(self._first_solids, solid_id, side="right")) - 1
         instances = self._triangles.instances
-        object_ = self._triangles.objects[instances.object_ids[instance_id]]
+        object_: Any = self._triangles.objects[instances.object_ids[instance_id]]
+        object_ = object_.triangles if object_.has_primitives else object_
         inverse = instances.inverses[instance_id]
         mesh = solid_id - int(self._first_solids[instance_id])
         return object_, mesh, points @ inverse[:, :3].T + inverse[:, 3]
+
+
+def _mesh_rows(
+    triangles: InstancedTriangles, counts: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The scene's mesh that each solid of an object is, one object after another.
+
+    And what is added to meshes for these rows, by object and part, see `InstancedTriangles.parts`.
+    """
+    firsts = np.searchsorted(triangles.first_fields, triangles.parts[:, 1, 1], side="left")
+    mesh_count = len(triangles.mesh_splits) - 1 - len(triangles.fields)
+    mesh_count -= int(len(triangles.spheres) > 0)
+    meshes, shifts, row, first = [], np.zeros((len(counts), 3), np.int64), 0, 0
+    for k, one in enumerate(triangles.objects):
+        fields, spheres = len(one.fields), int(one.part_counts[2] > 0)
+        own = int(counts[k]) - fields - spheres
+        begins = first, mesh_count + int(firsts[k]), mesh_count + len(triangles.fields)
+        sizes = own, fields, spheres
+        for part, (begin, size) in enumerate(zip(begins, sizes, strict=True)):
+            meshes.append(np.arange(begin, begin + size))
+            shifts[k, part] = row - begin
+            row += size
+        first += own
+    return np.concatenate([np.zeros(0, np.int64), *meshes]), shifts
 
 
 _known: WeakKeyDictionary[InstancedStructure, PlacedSolids] = WeakKeyDictionary()

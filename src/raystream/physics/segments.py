@@ -226,14 +226,15 @@ class _Worker:
         placed = PlacedSolids.of(structure) if is_placed else None
         self._placed = placed
         self._frame = SceneFrame.of(self._triangles)
-        if self._triangles.has_primitives:
+        self.solids: Solids
+        if placed is not None:
+            self.solids = placed.solids
+        elif self._triangles.has_primitives:
             self._meshes = self._triangles.triangles
-            self.solids: Solids = solids_with(self._triangles)
-        elif placed is None:
+            self.solids = solids_with(self._triangles)
+        else:
             self._meshes = self._triangles.solid_parts()[0].triangles
             self.solids = solids_of(self._meshes)
-        else:
-            self.solids = placed.solids
         opacity = cutouts_of(tracer, rules.cutouts, self.solids.is_closed)
         self._on_hit = opacity and opacity.on_hit
 
@@ -341,17 +342,20 @@ class _Worker:
         Solids are meshes; with instances, the meshes of each.
         """
         is_flipped = self.solids.is_flipped
-        if self._triangles.kinds and self._placed is None:
+        placed = self._placed
+        if self._triangles.kinds not in ((), ("instances",)):
             classify_hits(self._batch, rows, hits, is_flipped, crossings)
-            return lambda _begin, _end: None, self.solids.is_closed
-        if self._placed is None:
+            if placed is None:
+                return lambda _begin, _end: None, self.solids.is_closed
+            crossings.mesh_id[:] = placed.solids_at(hits.prim_id, hits.instance_id)
+            return lambda _begin, _end: None, placed.is_closed
+        if placed is None:
             triangles = self._triangles
             shared = source, self._frame, triangles.corners, triangles.mesh_splits, is_flipped
             return (
                 lambda begin, end: classify_crossings(begin, end, *shared, crossings),
                 self.solids.is_closed,
             )
-        placed = self._placed
         crossings.mesh_id[:] = placed.solids_at(hits.prim_id, hits.instance_id)
         columns = hits.instance_id, hits.mesh_id
         return (

@@ -10,6 +10,7 @@ from raystream.core.float64_triangles import Float64Triangles
 from raystream.jit.constants import SHIFT_64, THREE_U64, TWO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
+from raystream.jit.views import view
 from raystream.kernels.intervals import halvings_of, interval_of
 from raystream.programs.hits import Hit, direction_at, is_front
 
@@ -43,6 +44,11 @@ class Float64At(NamedTuple):
         return cls(*np.array((*places, count, halvings_of(count)), np.uint64)), kept
 
 
+#: `Float64At` in memory.
+FLOAT64_OBJECT = np.dtype([(name, "u8") for name in Float64At._fields])
+Float64Record = view(FLOAT64_OBJECT)
+
+
 @device
 def _corner(scene, prim_id, k):
     row = (np.uint64(prim_id) * THREE_U64 + k) << SHIFT_64
@@ -51,10 +57,16 @@ def _corner(scene, prim_id, k):
 
 
 @device
+def faces_ray(scene, prim_id, direction):
+    """Whether a ray of a direction comes from the front of a triangle."""
+    zero, one = np.uint64(0), np.uint64(1)
+    a, b = _corner(scene, prim_id, zero), _corner(scene, prim_id, one)
+    return is_front(a, b, _corner(scene, prim_id, TWO_U64), direction)
+
+
+@device
 def float64_hit_of(ray, t, u, v, prim_id, rays, position, scene):
     """A `Hit` of a triangle; see `hits.hit_of` for the arguments."""
     mesh = interval_of(scene.mesh_splits, scene.mesh_count, scene.halvings, np.int64(prim_id))
-    zero, one = np.uint64(0), np.uint64(1)
-    a, b = _corner(scene, prim_id, zero), _corner(scene, prim_id, one)
-    is_entering = is_front(a, b, _corner(scene, prim_id, TWO_U64), direction_at(rays, position))
+    is_entering = faces_ray(scene, prim_id, direction_at(rays, position))
     return Hit(np.int64(ray), t, u, v, prim_id, np.int32(mesh), is_entering, _NO_INSTANCE)

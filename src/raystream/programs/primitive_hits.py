@@ -71,8 +71,17 @@ class PrimitivesAt(NamedTuple):
         return known
 
     @classmethod
+    def of_object(cls, store: Any) -> tuple[PrimitivesAt, tuple[Any, ...]]:
+        """Addresses of primitives, or of triangles alone, whose meshes are left out."""
+        if store.has_primitives:
+            return cls.of(store)
+        corners, count = store.corners, len(store)
+        numbers = corners.ctypes.data, 0, 0, 0, 0, count, count, 0, 0, 0
+        return cls(*np.array(numbers, np.uint64)), (corners,)
+
+    @classmethod
     def _made(cls, primitives: Primitives) -> tuple[PrimitivesAt, tuple[Any, ...]]:
-        corners, firsts = primitives.triangles.corners, primitives.first_fields
+        corners, firsts = primitives.object_corners(), primitives.first_fields
         local, splits = primitives.local_fields, primitives.mesh_splits
         places = [[one.ctypes.data for one in (own.heights, own.x, own.y)] for own in local]
         given = zip(places, primitives.fields, strict=True)
@@ -93,6 +102,10 @@ class PrimitivesAt(NamedTuple):
         kept = corners, records, firsts, local, splits
         return cls(*np.array(numbers, np.uint64)), kept
 
+
+#: `PrimitivesAt` in memory.
+OBJECT = np.dtype([(name, "u8") for name in PrimitivesAt._fields])
+ObjectRecord = view(OBJECT)
 
 _known: WeakKeyDictionary[Primitives, tuple[PrimitivesAt, tuple[Any, ...]]]
 _known = WeakKeyDictionary()
@@ -126,9 +139,9 @@ def _field_faces_front(scene, number, direction):
 
 
 @device
-def primitive_hit_of(ray, t, u, v, number, rays, position, scene):
-    """A `Hit` of the primitive of this number; see `hits.hit_of` for the arguments."""
-    direction, prim_id = direction_at(rays, position), number
+def seen_from(scene, number, direction):
+    """The prim_id of a number, and whether a ray of a direction comes from the front there."""
+    prim_id = number
     if np.uint64(number) < scene.first_field:
         is_entering = faces_front(scene.corners + np.uint64(number) * _TRIANGLE, direction)
     elif np.uint64(number) < scene.first_sphere:
@@ -137,5 +150,12 @@ def primitive_hit_of(ray, t, u, v, number, rays, position, scene):
         of_sphere = np.uint64(number) - scene.first_sphere
         prim_id = np.int32(scene.first_sphere + (of_sphere >> ONE_U64))
         is_entering = of_sphere & ONE_U64 == ZERO_U64
+    return prim_id, is_entering
+
+
+@device
+def primitive_hit_of(ray, t, u, v, number, rays, position, scene):
+    """A `Hit` of the primitive of this number; see `hits.hit_of` for the arguments."""
+    prim_id, is_entering = seen_from(scene, number, direction_at(rays, position))
     mesh = interval_of(scene.mesh_splits, scene.mesh_count, scene.mesh_halvings, np.int64(prim_id))
     return Hit(np.int64(ray), t, u, v, prim_id, np.int32(mesh), is_entering, _NO_INSTANCE)

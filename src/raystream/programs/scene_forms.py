@@ -7,10 +7,18 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from raystream.core.store import Store
 from raystream.programs.float64_hits import Float64At, float64_hit_of
 from raystream.programs.hits import SceneAt, hit_of
-from raystream.programs.placed import PlacedAt, is_placed_skipped, placed_hit_of
+from raystream.programs.placed import (
+    PlacedAt,
+    is_placed_skipped,
+    placed_float64_hit_of,
+    placed_hit_of,
+    placed_primitive_hit_of,
+)
 from raystream.programs.primitive_hits import PrimitivesAt, primitive_hit_of
 from raystream.programs.rows import is_skipped
 
@@ -49,6 +57,9 @@ class SceneForm(NamedTuple):
 
 TRIANGLES = SceneForm("", SceneAt, hit_of, skips_in_traversal=True)
 _PLACED = SceneForm("# with instances\n", PlacedAt, placed_hit_of, is_placed_skipped)
+_PLACED_PRIMITIVES = _PLACED._replace(
+    heading="# with instances of primitives\n", hit_of=placed_primitive_hit_of
+)
 _PRIMITIVES = SceneForm("# with primitives\n", PrimitivesAt, primitive_hit_of)
 
 
@@ -61,10 +72,19 @@ def _float64() -> SceneForm:
     )
 
 
+@cache
+def _placed_float64() -> SceneForm:
+    heading = "# with instances in float64\n"
+    of_rows = _float64().of_rows
+    return _PLACED._replace(heading=heading, hit_of=placed_float64_hit_of, of_rows=of_rows)
+
+
 def form_of(store: Store) -> SceneForm:
     """How programs read the hits of a scene."""
     if store.instances is not None:
-        return _PLACED
+        if store.number_type is np.float64:
+            return _placed_float64()
+        return _PLACED_PRIMITIVES if store.has_primitives else _PLACED
     if "spheres" in store.kinds or "fields" in store.kinds:
         return _PRIMITIVES
     return _float64() if "float64" in store.kinds else TRIANGLES

@@ -65,11 +65,11 @@ def scene_digest(triangles: Any, has_faces: bool = False) -> str:
         digest.update(b"faces")
         _add_arrays(digest, [] if faces is None else [faces])
     placed = triangles.instances
-    if placed is not None:
-        _add_arrays(digest, (placed.object_ids, placed.transforms))
-    if placed is None and triangles.kinds:
+    if triangles.kinds not in ((), ("instances",), ("instances", "worlds")):
         _add_arrays(digest, list(triangles.saved_arrays().values()))
         return digest.hexdigest()
+    if placed is not None:
+        _add_arrays(digest, (placed.object_ids, placed.transforms))
     for one in [triangles] if placed is None else triangles.objects:
         _add_arrays(digest, (one.corners, one.mesh_splits, one.center))
         digest.update(repr(float(one.scale)).encode())

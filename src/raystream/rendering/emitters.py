@@ -84,7 +84,7 @@ def emitters_of(scene: Scene, lights: Sequence[AreaLight]) -> Emitters:
 def _in_instances(triangles: InstancedTriangles, prims: NDArray[np.int32]) -> Emitters:
     first, objects = triangles.first_prims, triangles.objects
     own = [  # of each object
-        found[np.isin(found - first[k], one.prim_ids)]
+        found[np.isin(found - first[k], one.solid_numbers())]
         for k, one in enumerate(objects)
         for found in [
             prims[np.searchsorted(prims, first[k]) : np.searchsorted(prims, first[k + 1])]

@@ -55,6 +55,13 @@ class Geometry:
         if triangles is not None:
             self.triangles = self._described(triangles)
 
+    def with_materials_from(self, shift: int) -> Geometry:
+        """The same with the numbers of materials increased."""
+        return Geometry(self._shifted_meshes(shift)) if shift else self
+
+    def _shifted_meshes(self, shift: int) -> list[Mesh]:
+        return [mesh.with_material_ids(mesh.material_ids + shift) for mesh in self.meshes]
+
     @cached_property
     def triangles(self) -> Triangles:
         """The triangles of all meshes, in the form that structures are built from."""
@@ -69,7 +76,8 @@ class Geometry:
     @property
     def material_ids(self) -> NDArray[np.int32]:
         """The material of each primitive, by prim_id, int32."""
-        return self.attributes.material_ids
+        fields = (np.full(len(one), one.material_id, np.int32) for one in self.fields)
+        return np.concatenate([self.attributes.material_ids, *fields, self.spheres.material_ids])
 
     def default_view(self, up: NDArray[np.float64]) -> DefaultView:
         """The view of a scene without a camera; kept, for the last up."""

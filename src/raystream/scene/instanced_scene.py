@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from raystream.core.instances import Instances
 from raystream.scene.geometry import Geometry
-from raystream.scene.instancing import InstancedGeometry, Objects, placed_meshes
+from raystream.scene.instancing import InstancedGeometry, Objects, flattened_geometry
 
 if TYPE_CHECKING:
     from raystream.scene.material import Material
@@ -42,9 +42,9 @@ class InstancedScene:
         ----------
         objects : Mesh, Scene, or sequence of them
             In their own space, object space. A list of meshes within the sequence is one object.
-            Only the meshes and materials of a scene are used, not its lights and cameras. A scene
-            may have instances itself: each time it is placed, each of its instances becomes an
-            instance of the new scene.
+            Of a scene, the meshes, height fields, spheres and materials are used, not its lights
+            and cameras. A scene may have instances itself: each time it is placed, each of its
+            instances becomes an instance of the new scene.
         transforms : array_like of shape (K, 3, 4) or (3, 4), real
             Object to world space: ``world = transforms[k, :, :3] @ point + transforms[k, :, 3]``,
             in float64. They may mirror, shear, and scale each axis differently.
@@ -69,7 +69,8 @@ class InstancedScene:
         Scene
             Its `meshes` are those of the objects: ``prim_id``, ``mesh_id`` and ``material_id`` of
             hits refer to the objects' triangles, meshes and materials, however often they are
-            placed; ``instance_id`` identifies the instance that is hit.
+            placed; ``instance_id`` identifies the instance that is hit. Height fields and spheres
+            of the objects follow, in the order of `combine`.
 
         Raises
         ------
@@ -89,9 +90,12 @@ class InstancedScene:
         one ray at equal t, as reported, are ordered by instance_id, then by prim_id. A ray whose
         direction is longer than 2**500 or shorter than 2**-500 is INVALID.
 
-        ``structure="bvh"`` and ``"brute"`` trace and render such scenes on the CPU, CUDA and, with
-        its machine ``"compute"``, ``device="graphics"``. For other machines, use `flattened` to
-        make a plain scene.
+        With ``precision="float64"``, a hit's t is the exact one of the moved ray, rounded; moving
+        the ray rounds it by a few units of 2**-53 of the numbers that are summed.
+
+        ``structure="bvh"`` and ``"brute"`` trace and render such scenes on the CPU, and those of
+        triangles in float32 on CUDA and, with its machine ``"compute"``, ``device="graphics"``.
+        For view factors and other machines, use `flattened` to make a plain scene.
 
         Examples
         --------
@@ -107,8 +111,9 @@ class InstancedScene:
         ([5, 6], True)
         """
         made = Objects.of(objects, (object_ids, transforms, worlds, names, masks), materials)
-        scene = cls(made.meshes, materials=made.materials, **parts)  # type: ignore[call-arg]
-        scene._geometry = InstancedGeometry(made.meshes, made.mesh_counts, made.instances)
+        geometry = InstancedGeometry(made.objects, made.instances)
+        scene = cls(geometry.meshes, materials=made.materials, **parts)  # type: ignore[call-arg]
+        scene._geometry = geometry
         return scene
 
     @property
@@ -127,8 +132,9 @@ class InstancedScene:
         others: Any = other._geometry
         if own.instances is None or others.instances is None:
             return type(own) is type(others)
-        is_same: bool = own.mesh_counts == others.mesh_counts
-        return is_same and all(map(operator.is_, own.meshes, others.meshes))
+        is_same = own.mesh_counts == others.mesh_counts and own.spheres.are_same(others.spheres)
+        parts = zip((*own.meshes, *own.fields), (*others.meshes, *others.fields), strict=False)
+        return is_same and all(one is other for one, other in parts)
 
     def in_world(self, world: int) -> Self:
         """Copy the scene with the instances of one world, and those in all; objects are shared.
@@ -178,6 +184,8 @@ class InstancedScene:
     def flattened(self) -> Self:
         """The same scene without instances: the meshes of each are copied to its place.
 
+        Height fields become meshes, and spheres remain spheres.
+
         Returns
         -------
         Scene
@@ -187,7 +195,7 @@ class InstancedScene:
         Raises
         ------
         ValueError
-            If the instances are in worlds.
+            If the instances are in worlds, or one makes ellipsoids of spheres.
         MemoryError
             If it does not fit into memory.
         """
@@ -196,7 +204,7 @@ class InstancedScene:
             return self
         if geometry.instances.worlds is not None:
             raise ValueError("flattened: the instances are in worlds, which may overlap")
-        return self._with(_geometry=Geometry(placed_meshes(geometry)))
+        return self._with(_geometry=flattened_geometry(geometry))
 
     def _with(self, **fields: Any) -> Self:
         scene = type(self).__new__(type(self))

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.height_field import HeightField
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.instances import Instances
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_host_array, as_real_array
+from raystream.core.spheres import Spheres
+from raystream.core.store import Store
 from raystream.scene.geometry import Geometry, geometry_of
 from raystream.scene.io.part_names import path_name
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
+from raystream.scene.primitive_geometry import PrimitiveGeometry
 
 if TYPE_CHECKING:
     from raystream.core.triangles import Triangles
@@ -25,31 +30,32 @@ if TYPE_CHECKING:
 #: Triangles that a camera is chosen by.
 _SEEN = 200_000
 
+#: Spheres remain spheres if the squares of lengths change by factors that differ by at most this.
+_UNEVEN = 1e-12
+
 #: Bytes of a triangle of a mesh of its own, with as many vertices: positions, normals, faces.
 _TRIANGLE_BYTES = 24 + 12 + 12 + 4
 
 
 class InstancedGeometry(Geometry):
-    """The meshes of objects, and their instances.
+    """Objects, and their instances.
 
     Parameters
     ----------
-    meshes : sequence of Mesh
-        Of all objects, one after another.
-    mesh_counts : sequence of int
-        Meshes of each object.
+    objects : sequence of Geometry
+        Without instances. They are shared by all scenes of them, wherever their instances are.
     instances : Instances
     """
 
     instances: Instances
 
-    def __init__(
-        self, meshes: Sequence[Mesh], mesh_counts: Sequence[int], instances: Instances
-    ) -> None:
-        super().__init__(meshes)
-        self.mesh_counts, self.instances = tuple(mesh_counts), instances
-        # Shared by all scenes with these objects, wherever their instances are.
-        self._objects = [Geometry(self.meshes[first:end]) for first, end in self.mesh_ranges]
+    def __init__(self, objects: Sequence[Geometry], instances: Instances) -> None:
+        super().__init__(mesh for one in objects for mesh in one.meshes)
+        self.objects, self.instances = tuple(objects), instances
+        self.mesh_counts = tuple(len(one.meshes) for one in objects)
+        self.has_primitives = any(one.has_primitives for one in objects)
+        self.fields = tuple(field for one in objects for field in one.fields)
+        self.spheres = Spheres.joined(one.spheres for one in objects)
 
     @property
     def mesh_ranges(self) -> list[tuple[int, int]]:
@@ -58,26 +64,30 @@ class InstancedGeometry(Geometry):
 
     @cached_property
     def triangles(self) -> Any:
-        """The triangles of the objects, each in a frame of its own, and their instances."""
-        objects = [one.triangles for one in self._objects]
-        splits = np.cumsum([0, *(mesh.triangle_count for mesh in self.meshes)], dtype=np.int64)
-        return InstancedTriangles(objects, self.instances, splits, self.attributes)
+        """The geometry of the objects, each in a frame of its own, and their instances."""
+        return self.placed([one.triangles for one in self.objects])
+
+    def placed(self, stores: Sequence[Store]) -> InstancedTriangles:
+        """The instances of objects' geometry."""
+        sizes = [mesh.triangle_count for mesh in self.meshes]
+        sizes += [*map(len, self.fields), *[len(self.spheres)][: len(self.spheres)]]
+        splits = np.cumsum([0, *sizes], dtype=np.int64)
+        return InstancedTriangles(stores, self.instances, splits, self.attributes)
 
     def _seen(self) -> Triangles:
         return self.triangles.some(_SEEN)
 
     def moved(self, instances: Instances) -> InstancedGeometry:
         """The same objects, whose triangles are shared, with instances elsewhere."""
-        moved = InstancedGeometry(self.meshes, self.mesh_counts, instances)
-        moved.attributes, moved._objects = self.attributes, self._objects
+        moved = InstancedGeometry(self.objects, instances)
+        moved.attributes = self.attributes
         return moved
 
 
 class Objects(NamedTuple):
     """What a scene of instances is made of; see `Scene.instances`."""
 
-    meshes: list[Mesh]
-    mesh_counts: list[int]
+    objects: list[Geometry]
     materials: list[Material]
     instances: Instances
 
@@ -105,16 +115,12 @@ class Objects(NamedTuple):
                     f"objects[{index}]: expected a Mesh, a Scene or a list of meshes, "
                     f"got {type(one).__name__}"
                 )
-            if geometry is not None and geometry.has_primitives:
-                raise ValueError(
-                    f"objects[{index}]: spheres and height fields cannot be placed as instances"
-                )
         object_ids, transforms, worlds, names, masks = placed
         ids, matrices = _checked(len(given), transforms, object_ids)
         known = list(materials)
         if not known and not all(map(geometry_of, given)):
             known = [Material()]  # of the objects that are meshes
-        found = cls([], [], known, Instances(ids, matrices, worlds, names, masks))
+        found = cls([], known, Instances(ids, matrices, worlds, names, masks))
         # Each object is one after another's; one that is a scene of instances is several.
         below = [found._add(one, len(known)) for one in given]
         if all(inner is None for _, inner in below):
@@ -135,7 +141,7 @@ class Objects(NamedTuple):
 
         `given_count` materials are those of meshes.
         """
-        first = len(self.mesh_counts)
+        first = len(self.objects)
         geometry = geometry_of(one)
         if geometry is None:
             parts = [one] if isinstance(one, Mesh) else one
@@ -146,22 +152,16 @@ class Objects(NamedTuple):
                         f"materials: mesh {mesh.name!r} uses material {most}, but {given_count} "
                         "are given"
                     )
-            self.meshes.extend(parts)
-            self.mesh_counts.append(len(parts))
+            self.objects.append(Geometry(parts))
             return first, None
         shift = len(self.materials)
         self.materials.extend(one.materials)
-        self.meshes.extend(
-            mesh.with_material_ids(mesh.material_ids + shift) if shift else mesh
-            for mesh in one.meshes
-        )
-        if geometry.instances is not None:
-            if geometry.instances.worlds is not None:
-                raise ValueError("objects: one is a scene whose instances are in worlds")
-            self.mesh_counts.extend(geometry.mesh_counts)  # type: ignore[attr-defined]
-            return first, geometry.instances
-        self.mesh_counts.append(len(one.meshes))
-        return first, None
+        inner = geometry.instances
+        if inner is not None and inner.worlds is not None:
+            raise ValueError("objects: one is a scene whose instances are in worlds")
+        held: Any = [geometry] if inner is None else geometry.objects  # type: ignore[attr-defined]
+        self.objects.extend(object_.with_materials_from(shift) for object_ in held)
+        return first, inner
 
 
 def _checked(count: int, transforms: Any, object_ids: Any) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -228,28 +228,67 @@ def _names_within(
     ]
 
 
-def placed_meshes(geometry: InstancedGeometry) -> Iterator[Mesh]:
-    """Copies of the objects' meshes where the instances are, one instance after another.
+def flattened_geometry(geometry: InstancedGeometry) -> Geometry:
+    """The geometry without instances; see `Scene.flattened`.
 
     Raises
     ------
+    ValueError
+        If an instance makes ellipsoids of spheres.
     MemoryError
-        If they do not fit into memory.
+        If the meshes do not fit into memory.
     """
-    instances, ranges = geometry.instances, geometry.mesh_ranges
-    sizes = np.array([sum(m.triangle_count for m in geometry.meshes[a:b]) for a, b in ranges])
+    meshes = [[*one.meshes, *map(_field_mesh, one.fields)] for one in geometry.objects]
+    placed = list(_placed_meshes(meshes, geometry.instances))
+    if not len(geometry.spheres):
+        return Geometry(placed)
+    spheres = []
+    for k, object_id in enumerate(geometry.instances.object_ids.tolist()):
+        held = geometry.objects[object_id].spheres
+        if len(held):
+            spheres.append(_placed_spheres(held, geometry.instances, k))
+    return PrimitiveGeometry(placed, (), Spheres.joined(spheres))
+
+
+def _field_mesh(field: HeightField) -> Mesh:
+    """The triangles of a height field."""
+    x, y = np.meshgrid(field.x, field.y)
+    vertices = np.stack([x, y, field.heights + np.float64(field.base)], axis=-1)
+    rows, columns = field.samples_of(np.arange(len(field)))
+    faces = (rows * len(field.x) + columns).astype(np.int32)
+    ids = np.full(len(faces), field.material_id, np.int32)
+    return Mesh(vertices.reshape(-1, 3), faces, material_ids=ids, mask=field.mask)
+
+
+def _placed_spheres(held: Spheres, instances: Instances, k: int) -> Spheres:
+    """The spheres of an object where an instance has it."""
+    linear, shift = instances.transforms[k, :, :3], instances.transforms[k, :, 3]
+    largest = np.abs(linear).max()
+    square = (linear / largest).T @ (linear / largest)
+    size = np.trace(square) / 3.0
+    if np.abs(square - size * np.eye(3)).max() > _UNEVEN * size:
+        raise ValueError(f"flattened: instance {k} makes ellipsoids of its object's spheres")
+    own = 0 if instances.masks is None else instances.masks[k]
+    masks = np.full_like(held.masks, own) if own else held.masks
+    radii = held.radii * (largest * np.sqrt(size))
+    return replace(held, centers=held.centers @ linear.T + shift, radii=radii, masks=masks)
+
+
+def _placed_meshes(objects: Sequence[Sequence[Mesh]], instances: Instances) -> Iterator[Mesh]:
+    """Copies of the objects' meshes where the instances are, one instance after another."""
+    sizes = np.array([sum(mesh.triangle_count for mesh in meshes) for meshes in objects])
     count = int(sizes[instances.object_ids].sum()) if len(instances) else 0
     check_memory(count * _TRIANGLE_BYTES, f"flattened: {count:,} triangles would", "place fewer")
     names = instances.names or ("",) * len(instances)
     masks = np.zeros(len(instances), int) if instances.masks is None else instances.masks
     columns = instances.object_ids, instances.transforms, instances.inverses, masks.tolist()
     for name, object_id, matrix, inverse, mask in zip(names, *columns, strict=True):
-        first, end = ranges[object_id]
-        for mesh in geometry.meshes[first:end]:
+        meshes = objects[object_id]
+        for mesh in meshes:
             placed = _placed(mesh, matrix, inverse)
             placed.mask = mask or mesh.mask
             if name:
-                placed.name = name if end - first == 1 else path_name(name, mesh.name)
+                placed.name = name if len(meshes) == 1 else path_name(name, mesh.name)
             yield placed
 
 

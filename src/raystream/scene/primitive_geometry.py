@@ -8,11 +8,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.core.height_field import HeightField
 from raystream.core.primitives import Primitives
-from raystream.core.spheres import NO_SPHERES, Spheres
+from raystream.core.spheres import Spheres
 from raystream.scene.geometry import Geometry, geometry_of
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
@@ -48,11 +47,14 @@ class PrimitiveGeometry(Geometry):
         """All primitives in one local frame."""
         return Primitives(self._meshes_alone.triangles, self.fields, self.spheres, self.attributes)
 
-    @property
-    def material_ids(self) -> NDArray[np.int32]:
-        """The material of each primitive, by prim_id, int32."""
-        fields = (np.full(len(one), one.material_id, np.int32) for one in self.fields)
-        return np.concatenate([super().material_ids, *fields, self.spheres.material_ids])
+    def with_materials_from(self, shift: int) -> PrimitiveGeometry:
+        """The same with the numbers of materials increased."""
+        if not shift:
+            return self
+        fields = [field.with_material(field.material_id + shift) for field in self.fields]
+        ids = self.spheres.material_ids + np.int32(shift)
+        spheres = replace(self.spheres, material_ids=ids)
+        return PrimitiveGeometry(self._shifted_meshes(shift), fields, spheres)
 
     @property
     def highest_material(self) -> int:
@@ -69,31 +71,22 @@ def combined(scenes: Iterable[Any]) -> tuple[PrimitiveGeometry, list[Material]]:
 
     Raises
     ------
-    TypeError, ValueError
-        If one is not a scene, or has instances.
+    TypeError
+        If one is not a scene.
     """
-    meshes: list[Mesh] = []
-    fields: list[HeightField] = []
-    parts: list[Spheres] = [NO_SPHERES]
+    held: list[Geometry] = []
     materials: list[Material] = []
     for index, one in enumerate(scenes):
         geometry = geometry_of(one)
         if geometry is None:
             raise TypeError(f"scenes[{index}]: expected a Scene, got {type(one).__name__}")
-        if one.placements is not None:
-            raise ValueError(
-                f"scenes[{index}]: has instances, which cannot be combined; scene.flattened() is "
-                "the same scene without them"
-            )
-        shift = len(materials)
+        held.append(geometry.with_materials_from(len(materials)))
         materials.extend(one.materials)
-        meshes.extend(
-            mesh.with_material_ids(mesh.material_ids + shift) if shift else mesh
-            for mesh in one.meshes
-        )
-        fields.extend(field.with_material(field.material_id + shift) for field in geometry.fields)
-        held = geometry.spheres
-        parts.append(replace(held, material_ids=held.material_ids + np.int32(shift)))
-    columns = ("centers", "radii", "material_ids", "masks")
-    spheres = Spheres(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
-    return PrimitiveGeometry(meshes, fields, spheres), materials
+    return joined(held), materials
+
+
+def joined(parts: Sequence[Geometry]) -> PrimitiveGeometry:
+    """The primitives of several geometries, one after another."""
+    meshes = [mesh for one in parts for mesh in one.meshes]
+    fields = [field for one in parts for field in one.fields]
+    return PrimitiveGeometry(meshes, fields, Spheres.joined(one.spheres for one in parts))

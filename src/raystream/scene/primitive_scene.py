@@ -162,7 +162,7 @@ class PrimitiveScene(InstancedScene):
         Parameters
         ----------
         scenes : iterable of Scene
-            Without instances. Their lights and cameras are not used.
+            Their lights and cameras are not used.
         **parts
             ``lights``, ``camera`` and other parameters of `Scene`, except ``meshes`` and
             ``materials``.
@@ -172,12 +172,13 @@ class PrimitiveScene(InstancedScene):
         Scene
             ``prim_id`` counts the triangles of all meshes, then those of all height fields, then
             all spheres, scenes one after another; ``mesh_id`` counts each height field as a mesh,
-            and all spheres as one. Materials are those of the scenes, one after another.
+            and all spheres as one. Materials are those of the scenes, one after another. If one has
+            instances, each of the others becomes an instance, see `Scene.instances`.
 
         Raises
         ------
         ValueError, TypeError
-            If one is not a scene, or has instances.
+            If one is not a scene, or has instances in worlds.
 
         Examples
         --------
@@ -188,7 +189,11 @@ class PrimitiveScene(InstancedScene):
         >>> hit.t.item(), bool(hit.prim_id == rs.load("cornell").triangle_count)
         (980.0, True)
         """
-        geometry, materials = combined(scenes)
+        given = list(scenes)
+        if any(getattr(one, "placements", None) is not None for one in given):
+            at_rest = np.tile(np.eye(4)[:3], (len(given), 1, 1))
+            return cls.instances(given, at_rest, np.arange(len(given)), **parts)
+        geometry, materials = combined(given)
         return cls._of_primitives(geometry, {"materials": materials, **parts})
 
     @classmethod

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -22,8 +21,8 @@ from raystream.scene.geometry import Geometry
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
-from raystream.scene.primitive_geometry import PrimitiveGeometry
 from raystream.scene.primitive_scene import PrimitiveScene
+from raystream.scene.store_geometry import geometry_of_store
 from raystream.scene.views import Views
 
 #: Parts of a scene that an animation sets.
@@ -154,33 +153,9 @@ class Scene(PrimitiveScene):
     @classmethod
     def from_triangles(cls, triangles: Triangles) -> Scene:
         """Make a scene from a triangle store: the same triangles, meshes and masks, no more."""
-        store: Any = triangles
-        if store.has_primitives:
-            of_meshes = cls._bare_meshes(store.triangles, store.mesh_masks)
-            geometry = PrimitiveGeometry(of_meshes, store.fields, store.spheres)
-            materials = [Material()] * max(1, geometry.highest_material + 1)
-            return cls._of_primitives(geometry, {"materials": materials})
-        if store.instances is not None:
-            held = store.instances
-            ends = np.cumsum([len(one.mesh_splits) - 1 for one in store.objects])
-            of_objects = np.split(store.mesh_masks, ends[:-1])
-            objects = [*map(cls._bare_meshes, store.objects, of_objects)]
-            placed = held.transforms, held.object_ids
-            return cls.instances(objects, *placed, worlds=held.worlds, masks=held.masks)
-        return cls().moved(cls._bare_meshes(triangles, store.mesh_masks), triangles)
-
-    @staticmethod
-    def _bare_meshes(triangles: Any, masks: NDArray[np.uint32]) -> list[Mesh]:
-        """The meshes of a triangle store, with nothing but these masks."""
-        ids = np.arange(len(triangles), dtype=np.int32)
-        local: Any = triangles.corners_at(ids, ids) if triangles.kinds else triangles.corners
-        corners = triangles.points_to_world(local, ids)
-        meshes = []
-        parts = itertools.pairwise(triangles.mesh_splits)
-        for (first, end), mask in zip(parts, masks.tolist(), strict=True):
-            faces = np.arange(3 * (end - first), dtype=np.int32).reshape(-1, 3)
-            meshes.append(Mesh(corners[first:end].reshape(-1, 3), faces, mask=mask))
-        return meshes
+        geometry = geometry_of_store(triangles)
+        count = int(geometry.material_ids.max(initial=0)) + 1
+        return cls(materials=[Material()] * count)._with(_geometry=geometry)
 
     def replace(self, **changes: Unpack[_Parts]) -> Scene:
         """Copy the scene with some parts replaced; unchanged parts are shared.

@@ -36,6 +36,10 @@ def store_of(kinds: Any, arrays: Arrays) -> Store:
     make = _MAKERS.get(str(kinds[0]) if isinstance(kinds, list) and kinds else "")
     if make is None:
         raise ValueError(f"holds an unknown kind of scene {kinds!r:.40}")
+    return _with_masks(make, arrays)
+
+
+def _with_masks(make: Callable[[Arrays], Store], arrays: Arrays) -> Store:
     made = make(arrays)
     if made.attributes is None:
         made.mesh_masks = _mesh_masks(arrays, made.mesh_splits)
@@ -114,12 +118,15 @@ def _float64(arrays: Arrays) -> Float64Triangles:
 
 
 def _instances(arrays: Arrays) -> InstancedTriangles:
-    objects: list[Triangles] = []
+    objects: list[Store] = []
     while own := part_of(arrays, f"object{len(objects)}"):
-        objects.append(_triangles(own))
+        k = len(objects)
+        masks = part_of(arrays, f"masks.object{k}")
+        own |= {f"masks.{name}": one for name, one in masks.items()}
+        kind = "spheres" if "spheres.radii" in own else "float64" if "vertices" in own else ""
+        objects.append(_with_masks(_MAKERS[kind], own))
     splits = _splits(arrays, sum(map(len, objects)))
-    known = Attributes((), _mesh_masks(arrays, splits))
-    return InstancedTriangles(objects, instances_of(arrays), splits, known)
+    return InstancedTriangles(objects, instances_of(arrays), splits, Attributes(()))
 
 
 def instances_of(arrays: Arrays) -> Instances:

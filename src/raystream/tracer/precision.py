@@ -31,13 +31,15 @@ def triangles_of(scene: Any, precision: str) -> Any:
     if precision == "float32":
         return scene.triangles
     check_support("precision='float64'", scene.triangles)
-    return float64_triangles(scene)
+    return float64_triangles(scene.geometry)
 
 
-def float64_triangles(scene: Any) -> Float64Triangles:
-    """The triangles of a scene, in float64."""
-    made = Float64Triangles.of([(mesh.vertices, mesh.faces) for mesh in scene.meshes])
-    made.attributes = scene.attributes
+def float64_triangles(geometry: Any) -> Any:
+    """The triangles of a scene, in float64: `Float64Triangles`, or instances of them."""
+    if geometry.instances is not None:
+        return geometry.placed([float64_triangles(one) for one in geometry.objects])
+    made = Float64Triangles.of([(mesh.vertices, mesh.faces) for mesh in geometry.meshes])
+    made.attributes = geometry.attributes
     return made
 
 

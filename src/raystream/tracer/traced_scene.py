@@ -235,7 +235,8 @@ class TracedScene:
         if not max_cost_growth >= 0.0:
             raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
         scene = self.scene
-        if scene.has_primitives or (isinstance(vertices, Scene) and vertices.has_primitives):
+        others: Any = vertices if isinstance(vertices, Scene) else scene
+        if scene.placements is None and (scene.has_primitives or others.has_primitives):
             return self._update_primitives(vertices, max_cost_growth, progress)
         if (vertices is None) == (transforms is None):
             raise ValueError("update: expected either vertices or transforms")

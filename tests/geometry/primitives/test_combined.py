@@ -138,13 +138,6 @@ def test_bad_parts_are_named() -> None:
     ball = rs.Scene.spheres([[0, 0, 0]], 1.0)
     with pytest.raises(TypeError, match=r"scenes\[1\]: expected a Scene, got int"):
         rs.Scene.combine([ball, 3])
-    placed = rs.Scene.instances(rs.load("cornell"), np.eye(3, 4))
-    with pytest.raises(ValueError, match=r"scenes\[0\]: has instances.*flattened"):
-        rs.Scene.combine([placed])
-    with pytest.raises(
-        ValueError, match=r"objects\[1\]: spheres and height fields cannot be placed"
-    ):
-        rs.Scene.instances([rs.load("cornell"), ball], np.eye(3, 4), [0])
     with pytest.raises(ValueError, match="meshes: spheres and height fields would be lost"):
         rs.Scene.combine(parts()).replace(meshes=[])
 

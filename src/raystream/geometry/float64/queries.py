@@ -99,9 +99,30 @@ def _offer_to(hits, search, line, span, triangle, prim_id):
     if hits is None:
         is_hit = exists(line, span, triangle, search.goal.surfaces)
     else:
-        is_hit, t, u, v = solve_exactly(line, triangle, search.goal.surfaces)
-        is_hit = is_hit and t >= search.t_min and t <= search.t_far
+        is_hit, t, u, v = _solve(search, line, triangle)
     return offer_row(search, t, u, v, prim_id) if is_hit else search
+
+
+@device
+def _solve(search, line, triangle):
+    is_hit, t, u, v = solve_exactly(line, triangle, search.goal.surfaces)
+    return is_hit and t >= search.t_min and t <= search.t_far, t, u, v
+
+
+@device
+def _offer_to_filter(filter_, search, line, span, triangle, prim_id):
+    if filter_ is None:
+        return _offer_to(search.goal.hits, search, line, span, triangle, prim_id)
+    # Functions read the digits of hits that are only counted, too.
+    is_hit, t, u, v = _solve(search, line, triangle)
+    return offer_row(search, t, u, v, prim_id) if is_hit else search
+
+
+@device
+def take_hit(search, line, span, triangle, prim_id):
+    """Offer a triangle that a ray may hit to a `kernels.search.Search`, which asks its filter."""
+    search = _offer_to_filter(search.filter, search, line, span, triangle, prim_id)
+    return search, is_full(search)
 
 
 def float64_searches(blocks: Callable[..., Any]) -> RaySearches:

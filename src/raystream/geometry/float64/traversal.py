@@ -33,7 +33,7 @@ from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.structures.bvh.node_layout import BOX_FLIP, leaf_address
 from raystream.structures.bvh.walks.single import STACK_BYTES, tree_walk
 
-__all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "tree_blocks"]
+__all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "box_walk", "tree_blocks"]
 
 _KEY_BITS = np.int32(~7)
 
@@ -145,6 +145,11 @@ def blocks_by(
         return make_walk(_interval, enter, visit_leaf)
 
     return make_traversal
+
+
+def box_walk(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the walk of a tree over boxes with any leaf; see `tree_walk`, and `blocks_by`."""
+    return tree_walk(_interval, _enter, visit_leaf)
 
 
 #: Makes traversals of wide trees.

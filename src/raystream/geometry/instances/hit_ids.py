@@ -27,7 +27,7 @@ def split_numbers(
     if numbers.size < _LEAST or len(triangles.instances) == 0:
         return triangles.split_ids(numbers)
     prim_id, instance_id = np.empty_like(numbers), np.empty_like(numbers)
-    tables = triangles.first_ids, triangles.instances.object_ids, triangles.first_prims
+    tables = triangles.first_ids, triangles.instances.object_ids, triangles.parts
     rows = numbers.reshape(-1), prim_id.reshape(-1), instance_id.reshape(-1)
 
     def split(begin: int, end: int) -> None:
@@ -43,9 +43,10 @@ def split_bytes(count: int) -> int:
 
 
 @kernel
-def _split(begin, end, first_ids, object_ids, first_prims, numbers, prim_id, instance_id):
+def _split(begin, end, first_ids, object_ids, parts, numbers, prim_id, instance_id):
     """Split the numbers begin to end; those of neighbours are often of one instance."""
     low, high, shift, found = np.int64(0), np.int64(0), np.int64(0), np.uint64(0)
+    fields, spheres, own = np.int64(0), np.int64(0), np.uint64(0)
     for i in range(np.uint64(begin), np.uint64(end)):
         number = np.int64(numbers[i])
         if number < 0:
@@ -59,5 +60,13 @@ def _split(begin, end, first_ids, object_ids, first_prims, numbers, prim_id, ins
                 found += half * np.uint64(first_ids[found + half] <= number)
                 size -= half
             low, high = first_ids[found], first_ids[found + ONE_U64]
-            shift = first_prims[np.uint64(object_ids[found])] - low
-        prim_id[i], instance_id[i] = number + shift, found
+            own = np.uint64(object_ids[found])
+            shift = parts[own, 0, 1] - low
+            fields, spheres = low + parts[own, 1, 0], low + parts[own, 2, 0]
+        instance_id[i] = found
+        if number < fields:
+            prim_id[i] = number + shift
+        elif number < spheres:
+            prim_id[i] = number - fields + parts[own, 1, 1]
+        else:
+            prim_id[i] = ((number - spheres) >> 1) + parts[own, 2, 1]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.geometry.primitives.records import PrimitiveAddresses
 from raystream.jit.views import view
 from raystream.kernels.leaf_block import BLOCK_BYTES
 from raystream.kernels.ray import SceneFrame
@@ -39,6 +40,7 @@ TreeRecord = view(TREE)
 #: names, a view serves as both.
 OBJECT_ADDRESSES = ("nodes", "leaves", "references", "corners")
 _TREES = (*OBJECT_ADDRESSES, "triangle_count")
+_BESIDE = tuple(name for name in PrimitiveAddresses._fields if name not in _TREES)
 _OBJECT = np.dtype(
     [
         *((name, "u8") for name in _TREES),
@@ -49,6 +51,7 @@ _OBJECT = np.dtype(
         ("high", "f4", 3),
         ("max_coordinate", "f4"),
         ("unused", "V4"),
+        *((name, "u8") for name in _BESIDE),
     ]
 )
 ObjectRecord = view(_OBJECT)
@@ -59,7 +62,7 @@ def object_records(structures: Sequence[Structure]) -> NDArray[np.void]:
     records = np.zeros(len(structures), _OBJECT)
     for record, structure in zip(records, structures, strict=True):
         addresses = structure.view._asdict()
-        for name in _TREES:
+        for name in (*_TREES, *_BESIDE):
             record[name] = addresses.get(name, 0)
         for name, value in SceneFrame.of(structure.triangles)._asdict().items():
             record[name] = value

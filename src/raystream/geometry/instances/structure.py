@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.query import Query
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
+from raystream.geometry.float64.ray_batch import Float64Rays
 from raystream.geometry.instances.batches import BATCH_KERNELS
+from raystream.geometry.instances.float64 import (
+    MEMORY_BYTES,
+    float64_instance_searches,
+    traverse_all_float64,
+    traverse_top_float64,
+)
 from raystream.geometry.instances.nearest import (
     AMONG_ALL,
     PlacedInstances,
@@ -32,6 +40,7 @@ from raystream.geometry.instances.records import (
 )
 from raystream.geometry.instances.top import (
     FAR_UNIT,
+    OBJECT_MARGIN,
     TopTrees,
     world_frame,
 )
@@ -40,16 +49,18 @@ from raystream.geometry.instances.traversal import (
     TopAddresses,
     instance_searches,
     traverse_all,
+    traverse_all_primitives,
     traverse_top,
+    traverse_top_primitives,
 )
+from raystream.geometry.primitives.traversal import STACK_BYTES as PRIMITIVE_BYTES
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import PAD, SceneFrame
 from raystream.structures.base import BuildReport, Nested, Structure
-from raystream.structures.brute.structure import BruteStructure
+from raystream.structures.batch_kernels import BatchKernels, Calls
 from raystream.structures.bvh.layout import NODE_BYTES
-from raystream.structures.bvh.structure import BvhStructure
-from raystream.structures.registry import StructureOptions
+from raystream.structures.registry import StructureOptions, builder_for
 
 _NO_NODES = np.zeros((0, 64), np.float32)
 
@@ -74,7 +85,9 @@ class InstancedStructure(Structure):
 
     make_searches = staticmethod(instance_searches)
     triangles: InstancedTriangles  # type: ignore[assignment]
-    _kind: type[Structure]  # of the objects
+    _name: str  # of the objects' structures
+    _of_primitives: type[InstancedStructure]
+    _of_float64: type[InstancedStructure]
 
     def __init__(
         self, triangles: InstancedTriangles, objects: Sequence[Structure], options: StructureOptions
@@ -130,11 +143,14 @@ class InstancedStructure(Structure):
         progress : callable, optional
             Called with (triangles placed, triangles).
         """
-        objects = []
-        for one, first in zip(triangles.objects, triangles.first_prims, strict=False):
-            part = part_of(progress, int(first), len(one), len(triangles))
-            objects.append(cls._kind(one, options, progress=part))
-        return cls(triangles, objects, options)
+        objects, placed = [], 0
+        for one in triangles.objects:
+            part = part_of(progress, placed, len(one), len(triangles))
+            objects.append(builder_for(cls._name, one)(one, options, progress=part))
+            placed += len(one)
+        made = cls._of_primitives if triangles.has_primitives else cls
+        made = cls._of_float64 if triangles.number_type is np.float64 else made
+        return made(triangles, objects, options)
 
     def _trees(self, boxes: Triangles) -> TopTrees:
         """The trees over the boxes."""
@@ -161,6 +177,28 @@ class InstancedStructure(Structure):
     def point_view(self) -> PlacedInstances:
         """The instances for points, made once."""
         return placed_view(self.trees.nodes, self.placed)
+
+    def around_calls(
+        self, points: NDArray[np.float64], numbers: NDArray[np.float64]
+    ) -> Calls | None:
+        """See `Structure.around_calls`: each instance, for the points in its box."""
+        held = self.triangles
+        low, high, _ = held.boxes(OBJECT_MARGIN)
+        ids = held.instances.object_ids.tolist()
+        has_spheres = [one.part_counts[2] > 0 for one in held.objects]
+        chosen = [k for k, object_id in enumerate(ids) if has_spheres[object_id]]
+
+        def count(begin: int, end: int) -> None:
+            some = points[begin:end]
+            for k in chosen:
+                rows = np.flatnonzero(((some >= low[k]) & (some <= high[k])).all(axis=1))
+                inverse, found = held.instances.inverses[k], np.zeros(len(rows))
+                own = np.ascontiguousarray(some[rows] @ inverse[:, :3].T + inverse[:, 3])
+                calls: Any = self.objects[ids[k]].around_calls(own, found)
+                calls[0](0, len(rows), *calls[1])
+                numbers[begin + rows] += found
+
+        return (count, ()) if chosen else None
 
     def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
         """The same objects, with instances elsewhere."""
@@ -192,7 +230,7 @@ class InstancedStructure(Structure):
 class InstancedBvh(InstancedStructure):
     """A BVH over instances, and one for each object."""
 
-    _kind = BvhStructure
+    _name = "bvh"
     traverse = staticmethod(traverse_top)
     point_loop = staticmethod(find_in_trees)
     stack_bytes = 2 * STACK_BYTES
@@ -202,10 +240,18 @@ class InstancedBvh(InstancedStructure):
         return TopTrees.of(boxes, self.triangles.instances)
 
 
+class PlacedPrimitivesBvh(InstancedBvh):
+    """The same where objects have spheres or height fields: rays are traced one by one."""
+
+    traverse = staticmethod(traverse_top_primitives)
+    stack_bytes = STACK_BYTES + PRIMITIVE_BYTES
+    many_ray_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})
+
+
 class InstancedBrute(InstancedStructure):
     """Every instance, and every triangle of its object."""
 
-    _kind = BruteStructure
+    _name = "brute"
     traverse = staticmethod(traverse_all)
     point_loop = staticmethod(find_among_all)
     point_search = AMONG_ALL
@@ -214,6 +260,39 @@ class InstancedBrute(InstancedStructure):
     def tests_per_ray(self) -> int:
         """All instances, and the triangles of each."""
         return int(self.triangles.first_ids[-1]) + len(self.triangles.instances)
+
+
+class PlacedPrimitivesBrute(InstancedBrute):
+    """The same where objects have spheres or height fields."""
+
+    traverse = staticmethod(traverse_all_primitives)
+    stack_bytes = PRIMITIVE_BYTES
+
+
+class PlacedFloat64Bvh(InstancedBvh):
+    """The same where objects are in float64."""
+
+    precision = "float64"
+    ray_batch = Float64Rays
+    make_searches = staticmethod(float64_instance_searches)
+    traverse = staticmethod(traverse_top_float64)
+    stack_bytes = MEMORY_BYTES
+    many_ray_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})
+
+
+class PlacedFloat64Brute(InstancedBrute):
+    """The same where objects are in float64."""
+
+    precision = "float64"
+    ray_batch = Float64Rays
+    make_searches = staticmethod(float64_instance_searches)
+    traverse = staticmethod(traverse_all_float64)
+    stack_bytes = MEMORY_BYTES
+
+
+InstancedBvh._of_float64, InstancedBrute._of_float64 = PlacedFloat64Bvh, PlacedFloat64Brute
+InstancedBvh._of_primitives = PlacedPrimitivesBvh
+InstancedBrute._of_primitives = PlacedPrimitivesBrute
 
 
 def _tree_records(trees: TopTrees, leaves: NDArray[np.void]) -> NDArray[np.void]:

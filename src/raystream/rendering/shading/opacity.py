@@ -96,7 +96,7 @@ def is_there_beside_spheres(hit: Any, rays: Any) -> bool:
     kind = gather(np.int32, rays.tables.kinds, material_of(rays.tables, hit.prim_id))
     if kind == OPAQUE:
         return True
-    side = _0 if hit.is_entering else _1
+    side = np.int32(hit.instance_id + hit.instance_id + (_0 if hit.is_entering else _1))
     return _is_there(hit.prim_id, side, hit.u, hit.v, hit.ray, kind, rays)
 
 
