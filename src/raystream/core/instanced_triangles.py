@@ -382,101 +382,12 @@ class InstancedTriangles(PlacedHits):
             for part in parts[k]
         ]
 
-    # Geometry of hits, each in the frame of its object.
-
-    def corners_at(
-        self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
-    ) -> NDArray[np.float64]:
-        """Corners of triangles in their objects' local frames; see `Store.corners_at`."""
-        prims = prim_id.reshape(-1)
-        corners = np.full((len(prims), 3, 3), np.nan)
-        for k, rows in self._by_object(instance_id):
-            corners[rows] = self.objects[k].corners[prims[rows] - self.first_prims[k]]
-        return corners.reshape(*prim_id.shape, 3, 3)
-
-    def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
-        """See `Store.local_corners`."""
-        prim_id, instance_id = self.ids_of(numbers.astype(np.int32))
-        corners = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
-        return (corners - self.center) * self.scale
-
-    def points_to_world(
-        self, points: NDArray[np.float64], instance_id: NDArray[np.int32]
-    ) -> NDArray[np.float64]:
-        """Move points from objects' local frames to world space.
-
-        Parameters
-        ----------
-        points : ndarray of shape S + (3,) or S + (k, 3), float64
-        instance_id : ndarray of shape S, int32
-        """
-        ids = instance_id.reshape(-1)
-        local = points.reshape(len(ids), points.size // max(1, 3 * len(ids)), 3)
-        world = np.full(local.shape, np.nan)
-        for k, rows in self._by_object(instance_id):
-            matrices = self.instances.transforms[ids[rows]]
-            inside = self.objects[k].to_world(local[rows])
-            moved = np.einsum("kij,knj->kni", matrices[:, :, :3], inside)
-            world[rows] = moved + matrices[:, None, :, 3]
-        return world.reshape(points.shape)
-
-    def normals_to_world(
-        self, normals: NDArray[np.float64], instance_id: NDArray[np.int32]
-    ) -> NDArray[np.float64]:
-        """Unit normals of shape (..., 3) in world space, on the same side of the surface."""
-        world = np.full(normals.shape, np.nan)
-        is_hit = instance_id >= 0
-        inverses = self.instances.inverses[instance_id[is_hit]][:, :, :3]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            # Scaled before they are multiplied and measured: small numbers would vanish.
-            inverses = inverses / np.abs(inverses).max(axis=(1, 2), keepdims=True, initial=0.0)
-            moved = _product(inverses.swapaxes(1, 2), normals[is_hit])
-            moved /= np.abs(moved).max(axis=-1, keepdims=True, initial=0.0)
-            world[is_hit] = moved / np.linalg.norm(moved, axis=-1, keepdims=True)
-        return world
-
-    def directions_to_local(
-        self, directions: NDArray[Any], instance_id: NDArray[np.int32]
-    ) -> NDArray[np.float64]:
-        """World directions of shape (..., 3) in the spaces of the hits' objects."""
-        moved = np.full(directions.shape, np.nan)
-        is_hit = instance_id >= 0
-        inverses = self.instances.inverses[instance_id[is_hit]][:, :, :3]
-        moved[is_hit] = _product(inverses, directions[is_hit].astype(np.float64))
-        return moved
-
-    def reaches_at(
-        self, instance_id: NDArray[np.int32]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Largest coordinates of the hits' objects; see `Store.reaches_at`.
-
-        The second is the length of the terms of ``inverse @ world``, each of which rounds.
-        """
-        ids = instance_id.reshape(-1)
-        extent, far = np.zeros((2, len(ids)))
-        for k, rows in self._by_object(instance_id):
-            one = self.objects[k]
-            matrices = np.abs(self.instances.transforms[ids[rows]])
-            inverses = np.abs(self.instances.inverses[ids[rows]])
-            inside = np.full((len(rows), 3), np.abs(one.world_bounds).max())
-            world = _product(matrices[:, :, :3], inside) + matrices[:, :, 3]
-            terms = _product(inverses[:, :, :3], world) + inverses[:, :, 3]
-            extent[rows] = float(one.max_coordinate)
-            far[rows] = (terms.max(axis=1) + np.abs(one.center).max()) * one.scale
-        return extent.reshape(instance_id.shape), far.reshape(instance_id.shape)
-
-    def _by_object(self, instance_id: NDArray[np.int32]) -> list[tuple[int, NDArray[np.int64]]]:
-        """The objects that are hit, and the rows of the hits of each, in the flattened array."""
-        ids = instance_id.reshape(-1)
-        rows = np.flatnonzero(ids >= 0)
-        objects = self.instances.object_ids[ids[rows]]
-        order = np.argsort(objects, kind="stable")
-        rows, objects = rows[order], objects[order]
-        firsts = np.flatnonzero(np.diff(objects, prepend=-1))
-        parts = np.split(rows, firsts[1:]) if len(rows) else []
-        return [(int(objects[first]), part) for first, part in zip(firsts, parts, strict=True)]
-
-
-def _product(matrices: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Products of matrices of shape (N, 3, 3) and vectors of shape (N, 3)."""
-    return np.einsum("kij,kj->ki", matrices, vectors)
+    def _object_parts(self, k: int) -> list[SolidPart]:
+        """The parts of an object, with the scene's meshes."""
+        one, found = self.objects[k], []
+        for part in one.solid_parts():
+            number, prim_id = self.parts[k, int(part.open_kind is not None)]
+            first = one.mesh_splits[part.first_mesh] - number + prim_id
+            mesh = int(np.searchsorted(self.mesh_splits, first, side="right")) - 1
+            found.append(part._replace(first_mesh=mesh))
+        return found

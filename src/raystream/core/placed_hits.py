@@ -64,6 +64,22 @@ class PlacedHits(PrimitiveStore):
             corners[rows] = self.objects[k].corners_at(own, np.zeros_like(own))
         return corners.reshape(*prim_id.shape, 3, 3)
 
+    def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+        """See `Store.local_corners`."""
+        prim_id, instance_id = self.ids_of(numbers.astype(np.int32))
+        corners = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
+        return (corners - self.center) * self.scale
+
+    def touching_corners(self, hits: HitColumns) -> NDArray[np.float64]:
+        """See `Store.touching_corners`."""
+        corners = self._of_objects(hits, lambda one, held: one.touching_corners(held), 3, 3)
+        is_hit = hits.prim_id >= 0
+        matrices = self.instances.transforms[hits.instance_id[is_hit]]
+        turned = np.einsum("nij,nkj->nki", matrices[:, :, :3], corners[is_hit])
+        corners[is_hit] = turned + matrices[:, None, :, 3]
+        corners[~is_hit] = 0.0
+        return corners
+
     def _of_objects(
         self, hits: HitColumns, measure: Callable[[Any, Any], NDArray[Any]], *tail: int
     ) -> NDArray[np.float64]:
