@@ -25,7 +25,7 @@ from raystream.structures.batch_kernels import (
 )
 from raystream.structures.bvh.batches import nearest_kernel
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.packets.multi_hit import all_hits_kernels, count_all, visit_all
+from raystream.structures.bvh.packets.multi_hit import all_hits_kernels, count_all, deliver_all
 from raystream.structures.bvh.packets.queries import TREES
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ _NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
 _ALL_HITS = all_hits_kernels(TREES, FLOAT64_ALL, _source)
 _BY_GROUPS = (
     BatchKernel(
-        partial(visit_all, trace_rows, _source, by_ray=True),
+        partial(deliver_all, trace_rows, _source, by_ray=True),
         _GROUPS_SIZE._replace(joins_chunks=False),
     ),
     BatchKernel(partial(count_all, trace_rows, _source), _GROUPS_SIZE),

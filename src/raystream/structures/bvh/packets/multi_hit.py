@@ -255,7 +255,7 @@ def plain_source(structure: Structure, batch: Batch) -> PacketSource:
     return batch.packets(structure.frame)
 
 
-def visit_all(
+def deliver_all(
     trace: Callable[..., int],
     source_of: SourceOf,
     structure: Structure,
@@ -301,7 +301,7 @@ def all_hits_kernels(
 ) -> tuple[BatchKernel, BatchKernel]:
     """The kernels that deliver all hits of packets to a visitor, and that count them."""
     trace = packet_kernel(scenes, answer)
-    visited, counted = partial(visit_all, trace, source_of), partial(count_all, trace, source_of)
+    visited, counted = partial(deliver_all, trace, source_of), partial(count_all, trace, source_of)
     return (
         BatchKernel(visited, CallSize(8, PACKETS_PER_CALL, joins_chunks=False), is_tiled=True),
         BatchKernel(counted, CallSize(8, COUNTED_PER_CALL), is_tiled=True),
