@@ -42,8 +42,8 @@ class InstancedScene:
         objects : Mesh, Scene, or sequence of them
             In their own space, object space. A list of meshes within the sequence is one object.
             Of a scene, the meshes, height fields, spheres and materials are used, not its lights
-            and cameras. A scene may have instances itself: each time it is placed, each of its instances becomes an
-            instance of the new scene.
+            and cameras. A scene may have instances itself: each time it is placed, each of its
+            instances becomes an instance of the new scene.
         transforms : array_like of shape (K, 3, 4) or (3, 4), real
             Object to world space: ``world = transforms[k, :, :3] @ point + transforms[k, :, 3]``,
             in float64. They may mirror, shear, and scale each axis differently.
