@@ -12,7 +12,6 @@ from raystream.core.float64_triangles import float64_offset
 from raystream.core.instances import Instances, moved
 from raystream.core.primitives import PrimitiveStore
 from raystream.core.spawn import WORLD_UNIT, side_of
-from raystream.core.store import Store
 
 if TYPE_CHECKING:
     from raystream.core.hits import HitColumns
@@ -39,7 +38,7 @@ class PlacedHits(PrimitiveStore):
         first one's number in the object, and its prim_id.
     """
 
-    objects: tuple[Store, ...]
+    objects: tuple[Any, ...]
     instances: Instances
     parts: NDArray[np.int64]
 
