@@ -13,6 +13,7 @@ from raystream.kernels.leaf_block import (
     BLOCK,
     BLOCK_FLOATS,
     BLOCK_SIZE,
+    PRIM_IDS,
     block_ray,
     blocks_end,
     filled_blocks,
@@ -50,7 +51,7 @@ def test_a_block_holds_corners_side_by_side(count, rng):
 @kernel
 def count_triangles(blocks, counts):
     for i in range(np.uint64(len(blocks))):
-        counts[i] = triangle_count(address(blocks) + i * BLOCK)
+        counts[i] = triangle_count(address(blocks) + i * BLOCK + PRIM_IDS)
 
 
 def test_the_triangles_of_a_block_are_counted(rng):

@@ -24,7 +24,7 @@ from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
 from raystream.machines.backend import Backend
-from raystream.notebook import html_table, in_bytes
+from raystream.notebook import html_table
 from raystream.scene.mesh import Mesh
 from raystream.scene.moving import moved_meshes, same_faces
 from raystream.scene.scene import Scene
@@ -33,6 +33,7 @@ from raystream.structures.base import UpdateReport
 from raystream.structures.storage import load_structure, save_structure
 from raystream.tracer.configuration import Configuration, configure
 from raystream.tracer.devices import device_of
+from raystream.tracer.figures import figures_of
 from raystream.tracer.precision import moved_triangles, of_scene, triangles_of
 
 if TYPE_CHECKING:
@@ -485,26 +486,10 @@ class TracedScene:
 
     def _repr_html_(self) -> str:
         """Show the structure and its figures in a notebook."""
-        structure = self.structure
-        triangles, report = structure.triangles, structure.report
-        unused = (
-            (triangles.degenerate_count, "degenerate"),
-            (triangles.nonfinite_count, "not finite"),
-        )
-        without = ", ".join(f"{count:,} {kind}" for count, kind in unused if count)
-        rows = [
-            ("triangles", f"{len(triangles):,}" + (f" ({without})" if without else "")),
-            ("structure", structure.name),
-            *(
-                (f"  {name}", f"{value}")
-                for name, value in structure.options.as_json().items()
-                if value is not None
-            ),
-            ("machine", self.machine),
-            *((f"  {name}", f"{value}") for name, value in self._machine_options.items()),
-            ("device", self.device),
-            ("build", f"{report.seconds:.3g} s"),
-            ("memory", in_bytes(report.byte_count)),
-            *((name, f"{value:,.6g}") for name, value in structure.quality().items()),
-        ]
-        return html_table("Tracer", rows)
+        return html_table("Tracer", figures_of(self.structure, self._places()))
+
+    def _places(self) -> list[tuple[str, str]]:
+        """The machine with its options, and the device."""
+        options = self._machine_options.items()
+        of_machine = [(f"  {name}", f"{value}") for name, value in options]
+        return [("machine", self.machine), *of_machine, ("device", self.device)]

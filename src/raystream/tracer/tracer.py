@@ -174,8 +174,7 @@ class Tracer(MemoryEstimator, PointQueries):
             or int64.
         near : array_like that broadcasts to S, int, optional
             The sectors in which rays start, for a graph: `Hits.sectors` of the hits that they
-            leave; -1 where unknown. It does not change results: the search begins there instead of
-            at a bin.
+            leave; -1 where unknown. Searches begin there instead of at a bin; results are equal.
         worlds : array_like that broadcasts to S, int, optional
             In a scene whose instances are in worlds: the world of each ray; see `Scene.instances`.
             For rays in arrays on a GPU: an array on the host, or a contiguous one on the GPU.
