@@ -21,6 +21,7 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
         "instances of one world",
         "spheres": "not supported in a scene with spheres",
         "fields": "not supported in a scene with height fields",
+        "shapes": "not supported in a scene with shapes of users",
         "float64": "not supported with precision='float64'",
     }
 )
@@ -30,7 +31,7 @@ MACHINE_REFUSAL = "not supported with"
 
 _ALL = tuple(REFUSALS)
 _PLACED = ("instances", "worlds")
-_PRIMITIVES = ("spheres", "fields")
+_PRIMITIVES = ("spheres", "fields", "shapes")
 _ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
 
 # Why a kind of scene lacks a feature.
@@ -91,6 +92,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
                 "instances": "transforms, camera, lights",
                 "spheres": "a scene of as many",
                 "fields": "a scene of as many samples",
+                "shapes": "a scene of as many",
             },
         ),
         "render": Feature(_ONE_WORLD, "`render`"),

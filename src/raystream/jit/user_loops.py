@@ -20,6 +20,13 @@ def as_device(function: Callable[..., Any]) -> Callable[..., Any]:
     return function if isinstance(function, numba.core.dispatcher.Dispatcher) else device(function)
 
 
+def checked_device(function: Callable[..., Any]) -> Any:
+    """Compile a Python function that writes to arrays: an index beyond their end raises."""
+    made: Any = device(getattr(function, "py_func", function))
+    made.targetoptions["boundscheck"] = True
+    return made
+
+
 class Loop:
     """A compiled loop, compiled by the first call for each combination of argument types.
 

@@ -63,6 +63,6 @@ def form_of(store: Store) -> SceneForm:
     """How programs read the hits of a scene."""
     if store.instances is not None:
         return _PLACED
-    if "spheres" in store.kinds or "fields" in store.kinds:
+    if store.has_primitives:
         return _PRIMITIVES
     return _float64() if "float64" in store.kinds else TRIANGLES

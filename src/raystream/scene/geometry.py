@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.attributes import Attributes
 from raystream.core.height_field import HeightField
 from raystream.core.instances import Instances
+from raystream.core.shapes import Shapes
 from raystream.core.spheres import NO_SPHERES, Spheres
 from raystream.core.triangles import Triangles
 from raystream.scene.mesh import Mesh
@@ -38,15 +39,17 @@ class Geometry:
     attributes : Attributes
     instances : Instances or None
     has_primitives : bool
-        Whether it was made for spheres and height fields.
+        Whether it was made for spheres, height fields and shapes.
     fields : tuple of HeightField
     spheres : Spheres
+    shapes : tuple of Shapes
     """
 
     instances: Instances | None = None
     has_primitives = False
     fields: tuple[HeightField, ...] = ()
     spheres: Spheres = NO_SPHERES
+    shapes: tuple[Shapes, ...] = ()
 
     def __init__(self, meshes: Iterable[Mesh], triangles: Triangles | None = None) -> None:
         self.meshes = tuple(meshes)

@@ -1,4 +1,4 @@
-"""Geometry of scenes with spheres or height fields, and how scenes are combined."""
+"""Geometry of scenes with spheres, height fields or shapes, and how scenes are combined."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from raystream.core.height_field import HeightField
 from raystream.core.primitives import Primitives
+from raystream.core.shapes import Shapes
 from raystream.core.spheres import NO_SPHERES, Spheres
 from raystream.scene.geometry import Geometry, geometry_of
 from raystream.scene.material import Material
@@ -25,40 +26,48 @@ _SEEN = 50_000
 
 
 class PrimitiveGeometry(Geometry):
-    """Meshes, height fields and spheres.
+    """Meshes, height fields, spheres and shapes.
 
     Parameters
     ----------
     meshes : sequence of Mesh
     fields : sequence of HeightField
     spheres : Spheres
+    shapes : sequence of Shapes
     """
 
     has_primitives = True
 
     def __init__(
-        self, meshes: Sequence[Mesh], fields: Sequence[HeightField], spheres: Spheres
+        self,
+        meshes: Sequence[Mesh],
+        fields: Sequence[HeightField],
+        spheres: Spheres,
+        shapes: Sequence[Shapes] = (),
     ) -> None:
         super().__init__(meshes)
-        self.fields, self.spheres = tuple(fields), spheres
+        self.fields, self.spheres, self.shapes = tuple(fields), spheres, tuple(shapes)
         self._meshes_alone = Geometry(self.meshes)
 
     @cached_property
     def triangles(self) -> Any:
         """All primitives in one local frame."""
-        return Primitives(self._meshes_alone.triangles, self.fields, self.spheres, self.attributes)
+        others = self.fields, self.spheres, self.attributes, self.shapes
+        return Primitives(self._meshes_alone.triangles, *others)
 
     @property
     def material_ids(self) -> NDArray[np.int32]:
         """The material of each primitive, by prim_id, int32."""
         fields = (np.full(len(one), one.material_id, np.int32) for one in self.fields)
-        return np.concatenate([super().material_ids, *fields, self.spheres.material_ids])
+        shapes = (one.material_ids for one in self.shapes)
+        return np.concatenate([super().material_ids, *fields, self.spheres.material_ids, *shapes])
 
     @property
     def highest_material(self) -> int:
-        """The largest number of a material of spheres and fields; -1 without any."""
+        """The largest number of a material besides those of meshes; -1 without any."""
         ids = [field.material_id for field in self.fields]
-        return max([-1, *ids, int(self.spheres.material_ids.max(initial=-1))])
+        others = [self.spheres, *self.shapes]
+        return max([-1, *ids, *(int(one.material_ids.max(initial=-1)) for one in others)])
 
     def _seen(self) -> Triangles:
         return self.triangles.some(_SEEN)
@@ -75,6 +84,7 @@ def combined(scenes: Iterable[Any]) -> tuple[PrimitiveGeometry, list[Material]]:
     meshes: list[Mesh] = []
     fields: list[HeightField] = []
     parts: list[Spheres] = [NO_SPHERES]
+    shapes: list[Shapes] = []
     materials: list[Material] = []
     for index, one in enumerate(scenes):
         geometry = geometry_of(one)
@@ -92,8 +102,12 @@ def combined(scenes: Iterable[Any]) -> tuple[PrimitiveGeometry, list[Material]]:
             for mesh in one.meshes
         )
         fields.extend(field.with_material(field.material_id + shift) for field in geometry.fields)
-        held = geometry.spheres
-        parts.append(replace(held, material_ids=held.material_ids + np.int32(shift)))
+        moved = (
+            replace(held, material_ids=held.material_ids + np.int32(shift))
+            for held in (geometry.spheres, *geometry.shapes)
+        )
+        parts.append(next(moved))
+        shapes.extend(moved)
     columns = ("centers", "radii", "material_ids", "masks")
     spheres = Spheres(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
-    return PrimitiveGeometry(meshes, fields, spheres), materials
+    return PrimitiveGeometry(meshes, fields, spheres, shapes), materials

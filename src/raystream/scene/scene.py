@@ -157,7 +157,7 @@ class Scene(PrimitiveScene):
         store: Any = triangles
         if store.has_primitives:
             of_meshes = cls.from_triangles(store.triangles).meshes
-            geometry = PrimitiveGeometry(of_meshes, store.fields, store.spheres)
+            geometry = PrimitiveGeometry(of_meshes, store.fields, store.spheres, store.shapes)
             materials = [Material()] * max(1, geometry.highest_material + 1)
             return cls._of_primitives(geometry, {"materials": materials})
         if store.instances is not None:
