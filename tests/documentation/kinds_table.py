@@ -16,6 +16,7 @@ COLUMNS = {
     "instances": "instances",
     "spheres": "spheres",
     "fields": "height fields",
+    "shapes": "shapes",
     "float64": "float64",
 }
 
@@ -28,7 +29,7 @@ def written() -> str:
     lines = [
         ".. list-table::",
         "   :header-rows: 1",
-        "   :widths: 40 15 15 15 15",
+        "   :widths: 40 12 12 12 12 12",
         "",
         "   * - feature",
         *(f"     - {head}" for head in COLUMNS.values()),

@@ -118,6 +118,7 @@ class Primitives(Store):
             *("fields",) * bool(fields),
             *("spheres",) * bool(len(spheres) or not has_others),
             *("shapes",) * bool(shapes),
+            *("shapes without distance",) * any(not one.functions.has_distance for one in shapes),
         )
         counts = np.array([len(triangles), *map(len, fields)], np.int64)
         self.first_fields = np.cumsum(counts)
@@ -228,8 +229,9 @@ class Primitives(Store):
             arrays |= {f"field{k}.heights": one.heights, f"field{k}.x": one.x, f"field{k}.y": one.y}
             arrays[f"field{k}.base"] = np.array([one.base, one.material_id], np.float64)
         for k, own in enumerate(self.shapes):
-            arrays |= {f"shapes{k}.records": own.records, f"shapes{k}.ids": own.material_ids}
-            arrays[f"shapes{k}.functions"] = np.array(own.functions.identity())
+            text = own.functions.identity().encode()
+            arrays[f"shapes{k}.records"] = np.frombuffer(own.records.tobytes() + text, np.uint8)
+            arrays[f"shapes{k}.ids"] = own.material_ids
         return arrays | {f"spheres.{name}": one for name, one in vars(spheres).items()}
 
     def solid_numbers(self) -> NDArray[np.int32]:

@@ -22,6 +22,7 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
         "spheres": "not supported in a scene with spheres",
         "fields": "not supported in a scene with height fields",
         "shapes": "not supported in a scene with shapes of users",
+        "shapes without distance": "not supported in a scene with shapes without distance=",
         "float64": "not supported with precision='float64'",
     }
 )
@@ -31,8 +32,11 @@ MACHINE_REFUSAL = "not supported with"
 
 _ALL = tuple(REFUSALS)
 _PLACED = ("instances", "worlds")
-_PRIMITIVES = ("spheres", "fields", "shapes")
+_SHAPES = ("shapes", "shapes without distance")
+_PRIMITIVES = ("spheres", "fields", *_SHAPES)
 _ONE_WORLD = ("instances", *_PRIMITIVES, "float64")
+_WITH_DISTANCE = tuple(one for one in _ONE_WORLD if one != "shapes without distance")
+_NO_CODE = tuple(one for one in _ALL if one not in _SHAPES)
 
 # Why a kind of scene lacks a feature.
 _TRIANGLES = "written for triangles of one local frame in float32"
@@ -44,6 +48,8 @@ _BOXES = "steps are shown for one tree over triangles"
 _COUNTS = "its traversal does not count"
 _SHADING = "shading reads triangles in float32"
 _SETS = "worlds are sets of instances"
+_CODE = "functions of users are not stored in files"
+_HOST = "functions of users are compiled for the CPU"
 
 
 class Feature(NamedTuple):
@@ -78,7 +84,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "structure='bvh'": Feature(_ALL),
         "structure='brute'": Feature(_ALL),
         "device='cpu', machine='branching'": Feature(_ALL),
-        "device='cuda', machine='branching'": Feature(_ALL, '``device="cuda"``'),
+        "device='cuda', machine='branching'": Feature(_NO_CODE, '``device="cuda"``', _HOST),
         "device='graphics', machine='compute'": Feature(_PLACED),
         "worlds": Feature(_PLACED, "``worlds=``", _SETS),
         "counters=True": Feature((*_PLACED, *_PRIMITIVES), "``counters=True``", _COUNTS),
@@ -110,16 +116,23 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
         "view_factors": Feature(("fields", "float64"), "`view_factors`", _PATCHES),
         "closest points with device='cpu'": Feature(
-            _ONE_WORLD, '`closest_point`, `signed_distance`, with ``device="cpu"``'
+            _WITH_DISTANCE,
+            '`closest_point`, `signed_distance`, with ``device="cpu"``',
+            notes={"shapes": "with ``distance=``"},
         ),
         "inside tests": Feature(
-            _ONE_WORLD,
+            _WITH_DISTANCE,
             "`contains`",
-            notes={"fields": '``method="winding"``: they are open surfaces'},
+            notes={
+                "fields": '``method="winding"``: they are open surfaces',
+                "shapes": "with ``distance=``",
+            },
         ),
-        "winding numbers": Feature(_ONE_WORLD, "`winding_number`"),
+        "winding numbers": Feature(
+            _WITH_DISTANCE, "`winding_number`", notes={"shapes": "with ``distance=``"}
+        ),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
-        "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
+        "save": Feature(_NO_CODE, "`Tracer.save`, `Tracer.load`", _CODE),
         "raystream.torch": Feature((), "`raystream.torch`", _TRIANGLES),
         "raystream.jax": Feature((), "`raystream.jax`", _TRIANGLES),
         "a cluster": Feature((), "clusters", _FORMAT),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.core.npz import read_npz, write_npz
+from raystream.core.scene_kinds import check_support
 from raystream.structures import STRUCTURES, StructureOptions, builder_for
 from raystream.structures.base import Structure
 from raystream.structures.saved_stores import same_geometry, store_of
@@ -38,6 +39,7 @@ def save_structure(path: str | PathLike[str], structure: Structure) -> None:
         If it cannot be written.
     """
     triangles = structure.triangles
+    check_support("save", triangles)
     header = {
         "format": _FORMAT,
         "version": FORMAT_VERSION,
