@@ -25,6 +25,11 @@ CODES = 254 * 2**24
 SLACK = 2.0**-20
 
 
+#: Lines that are tried to find a point of a shape; and their steps across its box, in proportions
+#: that spread them evenly.
+_LINES, _ACROSS = 32, np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+
+
 class Functions(Protocol):
     """The functions of a kind of shapes, compiled: see `scene.shape.Shape`."""
 
@@ -37,6 +42,9 @@ class Functions(Protocol):
 
     def normals_at(self, shapes: Shapes, rows: Any, points: NDArray[Any]) -> NDArray[np.float64]:
         """Unit normals of shapes at points of shape (N, 3), world space."""
+
+    def crossings_at(self, shapes: Shapes, rows: Any, rays: NDArray[Any]) -> NDArray[np.float64]:
+        """Distances of the crossings of lines with shapes, (N, hits), increasing; NaN for none."""
 
     def identity(self) -> str:
         """A text that is another one for other functions."""
@@ -108,13 +116,44 @@ class Shapes:
     ) -> NDArray[np.float64]:
         """The points of shapes that u and v stand for, shape (N, 3), world space.
 
-        They are within 2**-22 of the box's sides of what was hit.
+        They are within 2**-22 of the box's sides of what was hit; NaN if u is NaN.
         """
         number = _code_of(u) * np.uint64(CODES) + _code_of(v)
         mask = np.uint64(PLACE_STEPS - 1)
         steps = np.stack([(number >> np.uint64(k)) & mask for k in (42, 21, 0)], axis=-1)
         low, high = self.bounds[rows, 0], self.bounds[rows, 1]
-        return low + (steps.astype(np.float64) + 0.5) * ((high - low) / PLACE_STEPS)
+        points: NDArray[np.float64]
+        points = low + (steps.astype(np.float64) + 0.5) * ((high - low) / PLACE_STEPS)
+        points[np.isnan(u)] = np.nan
+        return points
+
+    def points_toward(
+        self, rows: NDArray[np.int64], eyes: NDArray[np.float64], number: int
+    ) -> NDArray[np.float64]:
+        """Points of shapes that are the nearest ones of them on lines from eyes; NaN if not found.
+
+        Parameters
+        ----------
+        rows : ndarray of shape (N,)
+        eyes : ndarray of shape (N, 3)
+            World space.
+        number : int
+            Which lines are tried first: of 0, those to the middle of the box.
+        """
+        points = np.full((len(rows), 3), np.nan)
+        left = np.arange(len(rows))
+        for k in range(number, number + _LINES):
+            low, high = self.bounds[rows[left]].swapaxes(0, 1)
+            origins, share = eyes[left], (0.5 + k * _ACROSS) % 1.0
+            directions = low + share * (high - low) - origins
+            rays = np.concatenate([origins, directions], axis=1)
+            found = self.functions.crossings_at(self, rows[left], rays)
+            t = np.nanmin(np.where(found >= 0.0, found, np.inf), axis=1, initial=np.inf)
+            is_found = np.isfinite(t)
+            at = left[is_found]
+            points[at] = origins[is_found] + t[is_found, None] * directions[is_found]
+            left = left[~is_found]
+        return points
 
     def places_of(
         self, rows: NDArray[np.int64], points: NDArray[np.float64]
@@ -130,7 +169,9 @@ class Shapes:
         x, y, z = np.clip(steps, 0, PLACE_STEPS - 1).astype(np.uint64).T
         number = (x << np.uint64(42)) | (y << np.uint64(21)) | z
         u, v = np.divmod(number, np.uint64(CODES))
-        return _number_of(u), _number_of(v)
+        codes = _number_of(u), _number_of(v)
+        codes[0][np.isnan(points).any(axis=1)] = np.nan
+        return codes
 
 
 def _code_of(numbers: NDArray[Any]) -> NDArray[np.uint64]:

@@ -208,15 +208,20 @@ class CompiledFunctions:
 
     def _call(
         self, role: str, made: NDArray[np.void], given: NDArray[Any] | None, out: NDArray[Any]
-    ) -> None:
-        """Call a function for each shape, and row of `given`; it writes the rows of `out`."""
-        at, step = (0, 0) if given is None else (given.ctypes.data, given.strides[0])
-        places = made.ctypes.data, at, step, out.ctypes.data, out.strides[0]
+    ) -> NDArray[np.uint64]:
+        """Call a function for each shape, and row of `given`: it writes the rows of `out`.
+
+        Returns its results.
+        """
+        at = (0, 0) if given is None else (given.ctypes.data, given.strides[0])
         index = ROLES.index(role) if role in ROLES else len(ROLES)
-        faults = np.uint64(self._faults[index:].ctypes.data)
-        arguments = self._codes[role], faults, *np.array(places, np.uint64)
+        first = self._faults[index:].ctypes.data, made.ctypes.data
+        places = tuple(np.array(one, np.uint64) for one in (at, (out.ctypes.data, out.strides[0])))
+        counts = np.zeros(len(made), np.uint64)
+        arguments = self._codes[role], *np.array(first, np.uint64), *map(tuple, places), counts
         parallel_for(lambda a, b: call_for_rows(a, b, *arguments), len(made), _ROWS)
         self.raise_faults()
+        return counts
 
     def bounds_of(self, records: NDArray[np.void]) -> NDArray[np.float64]:
         """Boxes of shapes, (N, 2, 3)."""
@@ -227,6 +232,17 @@ class CompiledFunctions:
     def normals_at(self, shapes: Shapes, rows: Any, points: NDArray[Any]) -> NDArray[np.float64]:
         """Unit normals of shapes at points of shape (N, 3), world space."""
         return self._at_points("normal", shapes, rows, points, np.zeros((len(points), 3)))
+
+    def crossings_at(self, shapes: Shapes, rows: Any, rays: NDArray[Any]) -> NDArray[np.float64]:
+        """Distances of the crossings of lines with shapes, (N, hits), increasing; NaN for none.
+
+        Lines are origins and directions, of shape (N, 6), world space.
+        """
+        found = np.zeros((len(rays), self.hits))
+        made = self.records_of(shapes.records, shapes.bounds)[rows]
+        counts = self._call("intersect", made, np.ascontiguousarray(rays, np.float64), found)
+        found[np.arange(self.hits) >= counts[:, None]] = np.nan
+        return found
 
     def distances_at(self, shapes: Shapes, rows: Any, points: NDArray[Any]) -> NDArray[np.float64]:
         """Signed distances of points of shape (N, 3) from shapes, world space."""

@@ -257,17 +257,19 @@ def enters(own, u, v, direction):
 
 
 @kernel
-def call_for_rows(begin, end, function, faults, records, given, given_step, out, out_step):
+def call_for_rows(begin, end, function, faults, records, given, out, counts):
     """Call a function for shapes, by address.
 
     Parameters
     ----------
     begin, end : int
-    function, faults, records, given, out : uint64
-        Addresses: of its code, its faults, the first record, what it is given, and its results.
-    given_step, out_step : uint64
-        Bytes.
+    function, faults, records : uint64
+        Addresses: of its code, its faults, and the first record.
+    given, out : tuple of two uint64
+        Addresses of what it is given, and of its results; bytes from a shape's to the next one's.
+    counts : ndarray of shape (N,), uint64
+        Written: what it returns.
     """
     for k in range(np.uint64(begin), np.uint64(end)):
-        own = address_of(ShapeRecord(records, k))
-        call_filter(function, (faults, own, given + k * given_step, out + k * out_step))
+        own, at, to = address_of(ShapeRecord(records, k)), given[0] + k * given[1], out[0]
+        counts[k] = call_filter(function, (faults, own, at, to + k * out[1]))

@@ -1,8 +1,8 @@
 """Scene tables of the surfaces that rays hit, where some are spheres, shapes or height fields.
 
 As for instances (`placed_tables`), the batch has tables of its own: row i is the triangle that hit
-i has, or for a sphere or shape a triangle in the plane that touches it there. The kernels are the same for
-all scenes.
+i has, or for a sphere or shape a triangle in the plane that touches it there. The kernels are the
+same for all scenes.
 """
 
 from __future__ import annotations
