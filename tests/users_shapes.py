@@ -114,7 +114,8 @@ def bitten_normal(ball: Any, point: Any) -> Any:
 
 @numba.njit
 def quartic_root(p: float, q: float, c: float, low: float, high: float, falls: bool) -> float:
-    x = 0.5 * (low + high)
+    """The root between two places, by Newton's method, or halves where it leaves them."""
+    x, least = 0.5 * (low + high), 1e-15 * (high - low)
     for _ in range(80):
         value = ((x * x + p) * x + q) * x + c
         if (value > 0.0) == falls:
@@ -125,9 +126,9 @@ def quartic_root(p: float, q: float, c: float, low: float, high: float, falls: b
         following = x - value / slope if slope != 0.0 else low
         if not low < following < high:
             following = 0.5 * (low + high)
-        if abs(following - x) <= 1e-16 * abs(x):
+        step, x = abs(following - x), following
+        if step <= least + 4e-16 * abs(x):
             break
-        x = following
     return x
 
 

@@ -46,6 +46,12 @@ class Functions(Protocol):
     def crossings_at(self, shapes: Shapes, rows: Any, rays: NDArray[Any]) -> NDArray[np.float64]:
         """Distances of the crossings of lines with shapes, (N, hits), increasing; NaN for none."""
 
+    def distances_at(self, shapes: Shapes, rows: Any, points: NDArray[Any]) -> NDArray[np.float64]:
+        """Signed distances of points of shape (N, 3) from shapes, world space."""
+
+    def place(self, role: str) -> str:
+        """What errors call a function, by its parameter of `Shape`."""
+
     def identity(self) -> str:
         """A text that is another one for other functions."""
 

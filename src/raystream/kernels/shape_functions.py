@@ -190,6 +190,10 @@ class CompiledFunctions:
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledFunctions, (self.shape, self.dtype)
 
+    def place(self, role: str) -> str:
+        """What errors call a function."""
+        return self._places[role]
+
     def identity(self) -> str:
         """A text that is another one for other functions; without their names if it can be."""
         prints = [fingerprint(getattr(self.shape, role) or len) for role in ("bounds", *ROLES)]

@@ -13,6 +13,7 @@ from raystream.core.shapes import CODES, MOST_HITS, PLACE_STEPS, SLACK
 from raystream.jit.constants import (
     BYTES_64,
     INF_F64,
+    ONE_F64,
     ONE_U64,
     SHIFT_64,
     ZERO_F64,
@@ -101,8 +102,9 @@ def _cut(low, high, origin, direction, span):
     """The part of a span of a line that is between two planes."""
     if direction == ZERO_F64:
         return span if low <= origin <= high else (INF_F64, -INF_F64)
-    a, b = (low - origin) / direction, (high - origin) / direction
-    return max(span[0], min(a, b)), min(span[1], max(a, b))
+    inverse = ONE_F64 / direction
+    a, b = (low - origin) * inverse, (high - origin) * inverse
+    return max(span[0], min(a, b)), min(span[1], max(a, b))  # without those that are NaN
 
 
 @device

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.core.shapes import MOST_HITS
+from raystream.core.shapes import MOST_HITS, Shapes
 
 __all__ = ["Shape"]
 
@@ -34,8 +34,8 @@ class Shape:
         ``distance(record, point)``: how far a point is from the surface; negative inside. Needed
         for closest points and inside tests. A shape with it is a closed solid.
     normal : callable, optional
-        ``normal(record, point)``: a vector of any length, perpendicular to the surface at a point
-        on it, pointing outwards [default: the gradient of `distance`].
+        ``normal(record, point)`` returns ``(x, y, z)``: a vector of any length, perpendicular to
+        the surface at a point on it, pointing outwards [default: the gradient of `distance`].
     hits : int
         The most crossings of a line with a shape, and the length of `t`: at most 32.
     name : str, optional
@@ -57,10 +57,12 @@ class Shape:
     Notes
     -----
     Points and vectors are tuples of three float64, in world space. The largest component of
-    `direction` is between 1 and 2, and distances are in its lengths. Functions must give the same
-    for the same arguments. A distance is rounded to float32 once, in the scene's frame, after
-    comparing with nothing: so queries order crossings of all geometry by t, then prim_id, and
-    crossings of one shape with the same t as they are along the line.
+    `direction` is between 1 and 2, and distances are in its lengths. Functions must return the same
+    for the same arguments, and call no functions in Python but those that Numba has compiled.
+
+    Distances are rounded to float32 once, in the scene's frame. Hits are ordered by t, then
+    prim_id, like those of all geometry; and crossings of a shape, where t is equal, as they are
+    along the line.
 
     u and v of a hit are two numbers that say where in the shape's box it is, to 2**-22 of the box's
     sides. `Hits.positions` follows from them, and `Hits.normals` from `normal` there.
@@ -122,6 +124,31 @@ class Shape:
 
             self._compiled[key] = CompiledFunctions(self, dtype)
         return self._compiled[key]
+
+    def check(self, records: Any, *, lines: int = 64, seed: int = 0) -> None:
+        """Look for mistakes in the functions, with lines through each shape and beside it.
+
+        Parameters
+        ----------
+        records : array_like of shape (N,), structured
+            As for `Scene.shapes`.
+        lines : int
+            For each shape; half of them are parallel to axes.
+        seed : int
+
+        Raises
+        ------
+        ValueError
+            If a crossing is outside the bounds of its shape, has no normal, or has a distance other
+            than 0; or if a distance is larger than that of a crossing. The text has the function's
+            name, file and line, the record's number, and the crossing.
+        RaystreamError
+            If a function fails, see `Scene.shapes`.
+        """
+        # Here, not above: few programs need it.
+        from raystream.scene.shape_check import check_shapes
+
+        check_shapes(Shapes.of(self, records), lines, seed)
 
     def __reduce__(self) -> tuple[Any, ...]:
         given = self.bounds, self.intersect, self.distance, self.normal

@@ -160,27 +160,37 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
 
 # Shapes
 
-#: The crossings of sixteen rays with a shape that have the same place in their order.
-_ROW = [("t", "f4"), ("u", "f4"), ("v", "f4")]
+#: The crossings of sixteen rays with a shape that have the same place in their order; `exact` is
+#: the distance by the user's function.
+_ROW = [("t", "f4"), ("u", "f4"), ("v", "f4"), ("exact", "f8")]
 _Row = view([*((name, kind, 16) for name, kind in _ROW), ("bits", "u8")])
 _RowLanes = view([*((name, kind, (16, 1)) for name, kind in _ROW), ("bits", "u8")])
-_ROWS_BYTES, _INTERVAL_BYTES = 200 * MOST_HITS, 128
+_ROWS_BYTES, _INTERVAL_BYTES = 328 * MOST_HITS, 128
 _INTERVAL_END = np.uint64(64)
 
 
 @device
-def _cross_ray(shape, exact, interval, limits, rows, k):
-    """Write the crossings of ray k of a group with a shape; returns their number."""
-    found = scratch(CROSSINGS_BYTES)
-    count = crossings(shape, exact.origin, exact.direction, found)
-    for n in range(count):
-        exact_t, row = load(np.float64, found + (n << SHIFT_64)), _RowLanes(rows, n)
-        t = local_t(exact_t, exact, *interval)
-        if limits[0] <= t <= limits[1]:
-            u, v = place_at(shape, exact, exact_t)
-            row.t[k], row.u[k], row.v[k] = t, u, v
+def _exact_of(memory, g, k, frame):
+    """Ray k of a group in float64."""
+    exact = _ExactLanes(memory, g)
+    origin, direction = _three_of(exact.origin, k), _three_of(exact.direction, k)
+    inv_square, offset = exact.inv_square[k], exact.offset[k]
+    return ExactRay(origin, direction, inv_square, offset, frame.center, frame.scale)
+
+
+@device
+def _cross_ray(shape, exact, k, at, t_min, rows, most):
+    """Write the crossings of ray k of a group with a shape; returns the rows in use."""
+    found, at = scratch(CROSSINGS_BYTES), at + (k << SHIFT_32)
+    t_in, t_out = load(np.float32, at), load(np.float32, at + _INTERVAL_END)
+    for n in range(crossings(shape, exact.origin, exact.direction, found)):
+        row, exact_t = _RowLanes(rows, n), load(np.float64, found + (n << SHIFT_64))
+        if n >= most:
+            row.bits, most = ZERO_U64, n + ONE_U64
+        row.t[k], row.exact[k] = local_t(exact_t, exact, t_in, t_out), exact_t
+        if row.t[k] >= t_min:
             row.bits |= ONE_U64 << k
-    return count
+    return most
 
 
 @device
@@ -193,29 +203,30 @@ def _visit_shape(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: 
     while entering != ZERO_U64:
         g = count_trailing_zeros(entering)
         entering &= entering - ONE_U64
-        group, lanes, exact = Group(packet, g), GroupLanes(packet, g), _ExactLanes(leaf.memory, g)
+        group, lanes = Group(packet, g), GroupLanes(packet, g)
         t_in, t_out = slab_interval(planes, three(group.inv), three(group.near), three(group.far))
         is_near = (t_in <= group.t_active) & (t_out >= group.t_min)
         bits, most = mask_bits((t_in <= t_out) & is_near), ZERO_U64
         store(at, t_in)
         store(at + _INTERVAL_END, t_out)
-        for n in range(np.uint64(MOST_HITS)):
-            _Row(rows, n).bits = ZERO_U64
         while bits != ZERO_U64:
             k = count_trailing_zeros(bits)
             bits &= bits - ONE_U64
-            origin, direction = _three_of(exact.origin, k), _three_of(exact.direction, k)
-            inv_square, offset = exact.inv_square[k], exact.offset[k]
-            ray = ExactRay(origin, direction, inv_square, offset, frame.center, frame.scale)
-            low = at + (k << SHIFT_32)
-            interval = load(np.float32, low), load(np.float32, low + _INTERVAL_END)
-            limits = lanes.t_min[k], lanes.t_active[k]
-            most = max(most, _cross_ray(shape, ray, interval, limits, rows, k))
+            exact = _exact_of(leaf.memory, g, k, frame)
+            most = _cross_ray(shape, exact, k, at, lanes.t_min[k], rows, most)
         for n in range(most):
-            row, number = _Row(rows, n), np.int32(shape.number + np.int32(n))
-            if row.bits != ZERO_U64:
-                taken = lanes_from_bits(mask16, row.bits)
-                has_hit |= to.kind.keep_lanes(to, packet, g, taken, row.t, row.u, row.v, number)
+            # Most second crossings are behind the first ones, where the nearest hits are wanted.
+            row, places = _Row(rows, n), _RowLanes(rows, n)
+            bits = row.bits & mask_bits(row.t <= group.t_active)
+            taken, number = lanes_from_bits(mask16, bits), np.int32(shape.number + np.int32(n))
+            if bits == ZERO_U64:
+                continue
+            while bits != ZERO_U64:
+                k = count_trailing_zeros(bits)
+                bits &= bits - ONE_U64
+                exact = _exact_of(leaf.memory, g, k, frame)
+                places.u[k], places.v[k] = place_at(shape, exact, places.exact[k])
+            has_hit |= to.kind.keep_lanes(to, packet, g, taken, row.t, row.u, row.v, number)
     return has_hit
 
 
