@@ -113,22 +113,25 @@ def bitten_normal(ball: Any, point: Any) -> Any:
 
 
 @numba.njit
-def quartic_root(p: float, q: float, c: float, low: float, high: float, falls: bool) -> float:
-    """The root between two places, by Newton's method, or halves where it leaves them."""
-    x, least = 0.5 * (low + high), 1e-15 * (high - low)
+def quartic(p: float, q: float, c: float, x: float) -> float:
+    return ((x * x + p) * x + q) * x + c
+
+
+@numba.njit
+def quartic_root(p: float, q: float, c: float, low: float, high: float, x: float) -> float:
+    """The root between two places, by Newton's method from x, or halves where it leaves them."""
+    falls, least = quartic(p, q, c, low) > 0.0, 1e-15 * (high - low)
     for _ in range(80):
-        value = ((x * x + p) * x + q) * x + c
+        value = quartic(p, q, c, x)
         if (value > 0.0) == falls:
             low = x
         else:
             high = x
         slope = (4.0 * x * x + 2.0 * p) * x + q
         following = x - value / slope if slope != 0.0 else low
-        if not low < following < high:
-            following = 0.5 * (low + high)
-        step, x = abs(following - x), following
-        if step <= least + 4e-16 * abs(x):
+        if abs(following - x) <= least + 4e-16 * abs(x):
             break
+        x = following if low < following < high else 0.5 * (low + high)
     return x
 
 
@@ -145,13 +148,9 @@ def extremes(p: float, q: float) -> Any:
         return only, only, only
     size = math.sqrt(-p)
     cosine = -q / (size * size * size) if size > 0.0 else 0.0
-    angle = math.acos(min(max(cosine, -1.0), 1.0)) / 3.0
-    third = 2.0943951023931953
-    return (
-        2.0 * size * math.cos(angle + third),
-        2.0 * size * math.cos(angle - third),
-        2.0 * size * math.cos(angle),
-    )
+    cosine = math.cos(math.acos(min(max(cosine, -1.0), 1.0)) / 3.0)
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0)) * 1.7320508075688772
+    return size * (-cosine - sine), size * (sine - cosine), 2.0 * size * cosine
 
 
 def torus_bounds(torus: Any) -> Any:
@@ -175,17 +174,22 @@ def torus_hits(torus: Any, origin: Any, direction: Any, span: Any, t: Any) -> in
     q = -2.0 * four * (x * toward[0] + y * toward[1])
     c = k * k - four * (x * x + y * y)
     end = 1.0000001 * math.sqrt(room)
-    low, before, count = -end, True, 0
+    low, at_low, count = -end, 1.0, 0
     first, second, third = extremes(p, q)
     for place in (first, second, third, end):
         high = min(max(place, low), end)
-        after = place == end or ((high * high + p) * high + q) * high + c > 0.0
-        if before != after and high > low:
-            t[count] = (middle + quartic_root(p, q, c, low, high, before)) / length
+        at_high = quartic(p, q, c, high) if place < end else 1.0
+        if (at_low > 0.0) != (at_high > 0.0) and high > low:
+            # Next to an extreme, the polynomial is about a parabola.
+            share = at_low / (at_low - at_high)
+            if place == end:
+                share = math.sqrt(share)
+            elif low == -end:
+                share = 1.0 - math.sqrt(1.0 - share)
+            guess = low + share * (high - low)
+            t[count] = (middle + quartic_root(p, q, c, low, high, guess)) / length
             count += 1
-            low, before = high, after
-        elif before == after:
-            low = high
+        low, at_low = high, at_high
     return count
 
 

@@ -35,7 +35,8 @@ FAULTS = np.dtype([("raised", "u8"), ("fault", "u8")])
 _OF_NORMAL, _OF_DISTANCE = np.uint64(FAULTS.itemsize), np.uint64(2 * FAULTS.itemsize)
 
 #: A shape: addresses of its parameters and of its kind; its box, world space; the number of its
-#: first crossing, see `core.primitives`; and which of its kind it is.
+#: first crossing, see `core.primitives`; which of its kind it is; and room for parameters. As long
+#: as a block of triangles, so that leaves are found and prefetched like theirs.
 SHAPE = np.dtype(
     [
         ("record", "u8"),
@@ -44,6 +45,7 @@ SHAPE = np.dtype(
         ("high", "f8", 3),
         ("number", "i4"),
         ("row", "i4"),
+        ("inline", "V88"),
     ]
 )
 ShapeRecord = view(SHAPE)

@@ -311,7 +311,7 @@ def _trace(packet, scene, frame, memory, leaf):
         continue_packet(packet, GROUPS)
     if scene.shape_nodes != NULL:
         tree = TreeAddresses(scene.shape_nodes, scene.shapes)
-        shapes = PrimitiveLeaf(_visit_shape, no_prefetch, leaf, memory, frame)
+        shapes = PrimitiveLeaf(_visit_shape, prefetch_child, leaf, memory, frame)
         trace_packet(packet, GROUPS, tree, most, own, shapes)
 
 

@@ -132,3 +132,19 @@ def shape_records(primitives: Primitives) -> NDArray[np.void]:
     firsts = primitives.crossings * np.arange(len(records))
     records["number"] = primitives.first_crossing + firsts
     return records
+
+
+def shape_leaves(primitives: Primitives, rows: NDArray[np.int32]) -> NDArray[np.void]:
+    """Those of `rows`, with the parameters beside them if there is room: one cache miss less."""
+    records = shape_records(primitives)[rows]
+    place = SHAPE.fields["inline"][1]  # type: ignore[index]
+    room = records.view(np.uint8).reshape(-1, SHAPE.itemsize)[:, place:]
+    firsts = primitives.first_shapes - primitives.first_shapes[0]
+    for own, first in zip(primitives.shapes, firsts.tolist(), strict=False):
+        size = own.records.itemsize
+        at = np.flatnonzero((rows >= first) & (rows < first + len(own)))
+        if size <= room.shape[1] and len(at):
+            given = own.records.view(np.uint8).reshape(-1, size)
+            room[at, :size] = given[rows[at] - first]
+            records["record"][at] = records.ctypes.data + at * SHAPE.itemsize + place
+    return records

@@ -19,7 +19,7 @@ from raystream.geometry.primitives.records import (
     SPHERES_PER_BLOCK,
     PrimitiveAddresses,
     field_records,
-    shape_records,
+    shape_leaves,
     sphere_blocks,
 )
 from raystream.geometry.primitives.traversal import (
@@ -82,7 +82,7 @@ class PrimitiveStructure(Structure):
             "sphere_nodes": sphere_nodes,
             "sphere_blocks": sphere_blocks(triangles.spheres, sphere_rows, first),
             "shape_nodes": shape_nodes,
-            "shapes": shape_records(triangles)[shape_rows[:, 0]],
+            "shapes": shape_leaves(triangles, shape_rows[:, 0]),
         }
         self.view = self._make_addresses()
         field_bytes = sum(

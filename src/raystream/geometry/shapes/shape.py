@@ -16,8 +16,7 @@ from raystream.kernels.search import is_full, offer
 from raystream.kernels.shapes import CROSSINGS_BYTES, ShapeRecord, crossings, place
 from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import TESTS, add_to
-
-_SHIFT = np.int32(3)
+from raystream.structures.bvh.node_layout import leaf_address
 
 #: A shape's own box, float32, is grown by these parts of its longest side and of its largest
 #: coordinate: twice the slack that crossings have, and four times the rounding of its corners.
@@ -35,7 +34,7 @@ _reach_of = device(reach_of)
 @device
 def shape_of(shapes, child):
     """The shape of a leaf."""
-    return ShapeRecord(shapes, np.uint64(np.int32(~child) >> _SHIFT))
+    return ShapeRecord(leaf_address(shapes, child))
 
 
 @device
