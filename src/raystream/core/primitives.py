@@ -336,8 +336,7 @@ class Primitives(Store):
         sizes[at] = 2.0 * reaches[at]
         leaving[at] = LEAVING * (reaches[at] + np.abs(bases[at]).max(axis=1, initial=0.0))
         for shapes, rows, own in self.shape_rows(prims):
-            bases[rows] = shapes.points_at(own, u[rows], v[rows])
-            normals[rows] = shapes.functions.normals_at(shapes, own, bases[rows])
+            bases[rows], normals[rows] = shapes.surface_at(own, u[rows], v[rows])
             boxes = shapes.bounds[own]
             sizes[rows] = (boxes[:, 1] - boxes[:, 0]).max(axis=1)
             far = np.abs(boxes).max(axis=(1, 2))

@@ -133,6 +133,20 @@ class Shapes:
         points[np.isnan(u)] = np.nan
         return points
 
+    def surface_at(
+        self, rows: NDArray[np.int64], u: NDArray[Any], v: NDArray[Any]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The points of the surface next to those that u and v stand for, and unit normals."""
+        points = self.points_at(rows, u, v)
+        normals = self.functions.normals_at(self, rows, points)
+        lines = np.concatenate([points, normals], axis=1)
+        t = self.functions.crossings_at(self, rows, lines)
+        nearest = np.take_along_axis(t, np.nan_to_num(np.abs(t), nan=np.inf).argmin(1)[:, None], 1)
+        sizes = np.ptp(self.bounds[rows], axis=1).max(axis=1, keepdims=True, initial=0.0)
+        # Without a crossing there, such as at an edge, the point is left where it is.
+        points += np.where(np.abs(nearest) <= SLACK * sizes, nearest, 0.0) * normals
+        return points, normals
+
     def points_toward(
         self, rows: NDArray[np.int64], eyes: NDArray[np.float64], number: int
     ) -> NDArray[np.float64]:
