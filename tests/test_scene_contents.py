@@ -163,7 +163,8 @@ def _query_file(tracer: rs.Tracer, path: Path) -> Any:
 
 def _saved(tracer: rs.Tracer, path: Path) -> None:
     tracer.save(path)
-    for scene in (None, tracer.scene):
+    is_whole = "shapes" not in tracer.structure.triangles.kinds
+    for scene in (None, tracer.scene) if is_whole else (tracer.scene,):
         loaded = rs.Tracer.load(path, scene)
         found, wanted = (one.first_hit(*RAY, **_world(one)) for one in (loaded, tracer))
         assert found.t == wanted.t

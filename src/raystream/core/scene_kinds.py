@@ -48,7 +48,6 @@ _BOXES = "steps are shown for one tree over triangles"
 _COUNTS = "its traversal does not count"
 _SHADING = "shading reads triangles in float32"
 _SETS = "worlds are sets of instances"
-_CODE = "functions of users are not stored in files"
 _HOST = "functions of users are compiled for the CPU"
 
 
@@ -132,7 +131,9 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             _WITH_DISTANCE, "`winding_number`", notes={"shapes": "with ``distance=``"}
         ),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
-        "save": Feature(_NO_CODE, "`Tracer.save`, `Tracer.load`", _CODE),
+        "save": Feature(
+            _ALL, "`Tracer.save`, `Tracer.load`", notes={"shapes": "loaded with the scene"}
+        ),
         "raystream.torch": Feature((), "`raystream.torch`", _TRIANGLES),
         "raystream.jax": Feature((), "`raystream.jax`", _TRIANGLES),
         "a cluster": Feature((), "clusters", _FORMAT),

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.core.npz import read_npz, write_npz
-from raystream.core.scene_kinds import check_support
 from raystream.structures import STRUCTURES, StructureOptions, builder_for
 from raystream.structures.base import Structure
-from raystream.structures.saved_stores import same_geometry, store_of
+from raystream.structures.saved_stores import same_arrays, store_of
 
 #: Increased by every change that makes older files unreadable.
 FORMAT_VERSION = 3
@@ -39,7 +38,6 @@ def save_structure(path: str | PathLike[str], structure: Structure) -> None:
         If it cannot be written.
     """
     triangles = structure.triangles
-    check_support("save", triangles)
     header = {
         "format": _FORMAT,
         "version": FORMAT_VERSION,
@@ -79,19 +77,20 @@ def load_structure(
     arrays = read_npz(path)
     made, options, kinds = _header(path, arrays)
     try:
-        stored: Any = store_of(
-            kinds,
-            {
-                name.removeprefix("triangles."): array
-                for name, array in arrays.items()
-                if name.startswith("triangles.")
-            },
-        )
-        if triangles_in is not None:
-            given = triangles_in("float64" if stored.number_type is np.float64 else "float32")
-            if not same_geometry(stored, given):
+        held: Any = {
+            name.removeprefix("triangles."): array
+            for name, array in arrays.items()
+            if name.startswith("triangles.")
+        }
+        stored: Any = None
+        if triangles_in is None or "shapes" not in (kinds or ()):
+            stored = store_of(kinds, held)
+            held, kinds = stored.saved_arrays(), list(stored.kinds)
+        if triangles_in is not None:  # only it has the functions of shapes
+            is_double = stored is not None and stored.number_type is np.float64
+            stored = triangles_in("float64" if is_double else "float32")
+            if list(stored.kinds) != kinds or not same_arrays(held, stored.saved_arrays()):
                 raise ValueError("was built from other triangles than the scene's; rebuild it")
-            stored = given
         own = {
             name.removeprefix("structure."): array
             for name, array in arrays.items()

@@ -210,5 +210,17 @@ def test_other_structures_and_devices_say_so() -> None:
     for structure in ("grid", "kdtree", "graph"):
         with pytest.raises(ValueError, match="shapes of users"):
             rs.Tracer(tori(), structure)
-    with pytest.raises(rs.RaystreamError, match="shapes of users"):
-        rs.Tracer(tori()).save("tori.npz")
+
+
+def test_files_are_loaded_with_the_scene(tmp_path) -> None:
+    path = tmp_path / "tori.npz"
+    rs.Tracer(tori()).save(path)
+    assert rs.Tracer.load(path, tori()).first_hit(*ALONG_X).t == 6.5
+    with pytest.raises(rs.FileFormatError, match="functions are not in files"):
+        rs.Tracer.load(path)
+    moved = TORI.copy()
+    moved["minor"] = 0.4
+    slower = rs.Shape(users.torus_bounds, users.torus_hits, normal=users.torus_normal, hits=4)
+    for other in (rs.Scene.shapes(users.torus, moved), rs.Scene.shapes(slower, TORI)):
+        with pytest.raises(rs.FileFormatError, match="other triangles"):
+            rs.Tracer.load(path, other)
