@@ -12,7 +12,10 @@ import pytest
 import raystream as rs
 import users_shapes as users
 from conftest import assert_same_bits
+from raystream.viewer import RenderService
+from raystream.viewer.picking import hits_along, pixel_ray
 from users_shapes import CASES, rays_near, some
+from viewer.pages import Page, decode
 
 #: Two tori, one above the other; and rays through the tube of the first one.
 TORI = np.array([((0.0, 0.0, 0.0), 2.0, 0.5), ((0.0, 0.0, 4.0), 2.0, 0.5)], users.TORUS)
@@ -224,3 +227,21 @@ def test_files_are_loaded_with_the_scene(tmp_path) -> None:
     for other in (rs.Scene.shapes(users.torus, moved), rs.Scene.shapes(slower, TORI)):
         with pytest.raises(rs.FileFormatError, match="other triangles"):
             rs.Tracer.load(path, other)
+
+
+def test_the_viewer_shows_and_picks_them() -> None:
+    camera = rs.Camera((-9.0, 0.0, 0.0), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
+    scene = tori(camera=camera)
+    service = RenderService(scene, "tori", settings={"samples": 1})
+    try:
+        page = Page(service)
+        frame = page.frame(done=True)
+        assert decode(frame).std() > 10.0
+        page.client.leave()
+    finally:
+        service.close()
+    ray = pixel_ray({"number": 1, "x": 0.5, "y": 0.5}, camera, (33, 33))
+    found = hits_along(rs.Tracer(scene), ray)
+    assert found["total"] == 4
+    assert [one["mesh"] for one in found["hits"]] == ["torus"] * 4
+    np.testing.assert_allclose(found["hits"][0]["position"], [-2.5, 0.0, 0.0], atol=1e-5)
