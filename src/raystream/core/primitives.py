@@ -133,7 +133,7 @@ class Primitives(Store):
                 f"scene: {int(self.first_fields[-1]):,} triangles (including height fields) and "
                 f"twice {len(spheres):,} spheres{more} are more than {MAX_TRIANGLES:,}"
             )
-        of_spheres = self.first_shapes[:1] if len(spheres) else []
+        of_spheres = [int(first_shape)] * bool(len(spheres))
         ends = [*self.first_fields[1:], *of_spheres, *self.first_shapes[1:]]
         self.mesh_splits = np.concatenate([triangles.mesh_splits, ends]).astype(np.int64)
         world = self._bounds(triangles)

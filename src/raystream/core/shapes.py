@@ -37,6 +37,11 @@ class Functions(Protocol):
     hits: int
     has_distance: bool
 
+    def records_of(
+        self, records: NDArray[np.void], bounds: NDArray[np.float64] | None = None
+    ) -> NDArray[np.void]:
+        """The shapes as kernels read them, for numbers to be added; the caller keeps `records`."""
+
     def bounds_of(self, records: NDArray[np.void]) -> NDArray[np.float64]:
         """Boxes of shapes, (N, 2, 3)."""
 
@@ -51,6 +56,9 @@ class Functions(Protocol):
 
     def place(self, role: str) -> str:
         """What errors call a function, by its parameter of `Shape`."""
+
+    def raise_faults(self) -> None:
+        """Raise what went wrong in calls since the last time, if anything did."""
 
     def identity(self) -> str:
         """A text that is another one for other functions."""

@@ -66,7 +66,7 @@ class PrimitiveGeometry(Geometry):
     def highest_material(self) -> int:
         """The largest number of a material besides those of meshes; -1 without any."""
         ids = [field.material_id for field in self.fields]
-        others = [self.spheres, *self.shapes]
+        others: list[Any] = [self.spheres, *self.shapes]
         return max([-1, *ids, *(int(one.material_ids.max(initial=-1)) for one in others)])
 
     def _seen(self) -> Triangles:
@@ -102,12 +102,10 @@ def combined(scenes: Iterable[Any]) -> tuple[PrimitiveGeometry, list[Material]]:
             for mesh in one.meshes
         )
         fields.extend(field.with_material(field.material_id + shift) for field in geometry.fields)
-        moved = (
-            replace(held, material_ids=held.material_ids + np.int32(shift))
-            for held in (geometry.spheres, *geometry.shapes)
-        )
-        parts.append(next(moved))
-        shapes.extend(moved)
+        others: list[Any] = [geometry.spheres, *geometry.shapes]
+        moved = [replace(one, material_ids=one.material_ids + np.int32(shift)) for one in others]
+        parts.append(moved[0])
+        shapes.extend(moved[1:])
     columns = ("centers", "radii", "material_ids", "masks")
     spheres = Spheres(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
     return PrimitiveGeometry(meshes, fields, spheres, shapes), materials

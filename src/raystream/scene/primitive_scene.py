@@ -271,7 +271,7 @@ class PrimitiveScene(InstancedScene):
         """The materials of spheres, height fields and shapes."""
         geometry = self._geometry
         ids = {field.material_id for field in geometry.fields}
-        others = geometry.spheres, *geometry.shapes
+        others: list[Any] = [geometry.spheres, *geometry.shapes]
         return frozenset(ids.union(*(np.unique(one.material_ids).tolist() for one in others)))
 
     @property

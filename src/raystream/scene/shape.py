@@ -103,7 +103,7 @@ class Shape:
     ) -> None:
         if distance is None and normal is None:
             raise TypeError("normal: expected a function, or one for distance=")
-        if not (isinstance(hits, int) and 1 <= hits <= MOST_HITS):
+        if hits not in range(1, MOST_HITS + 1):
             raise ValueError(f"hits: expected an integer from 1 to {MOST_HITS}, got {hits!r}")
         self.bounds, self.intersect, self.distance, self.normal = (
             bounds,
@@ -111,7 +111,7 @@ class Shape:
             distance,
             normal,
         )
-        self.hits = hits
+        self.hits = int(hits)
         self.name = name or getattr(intersect, "__name__", "shape")
         self._compiled: dict[str, Any] = {}
 
