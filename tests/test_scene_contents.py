@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+import users_shapes
 from raystream.core.scene_kinds import FEATURES as DECLARED
 from raystream.core.scene_kinds import is_supported
 from raystream.stepper import walk
@@ -25,6 +26,7 @@ SAYS = {
     "worlds": "worlds",
     "spheres": "scene with spheres",
     "fields": "scene with height fields",
+    "shapes": "scene with shapes",
     "float64": "precision='float64'",
     "placed spheres": "spheres",
     "placed fields": "height fields",
@@ -45,6 +47,10 @@ def tracer_of(kind: str, structure: str = "bvh", device: str = "cpu") -> rs.Trac
         box = rs.Scene.combine([box, ground], camera=box.camera)
     if kind in ("spheres", "fields"):
         return rs.Tracer(box, structure, device)
+    if kind == "shapes":
+        records = np.array([((278, 273, 280), 80.0, 30.0)], users_shapes.TORUS)
+        ring = rs.Scene.shapes(users_shapes.torus, records)
+        return rs.Tracer(rs.Scene.combine([box, ring], camera=box.camera), structure, device)
     worlds = [0, 0] if kind == "worlds" else None
     transforms = np.tile(np.eye(4)[:3], (2, 1, 1))
     transforms[1, 0, 3] = 2000.0
@@ -168,7 +174,8 @@ def _query_file(tracer: rs.Tracer, path: Path) -> Any:
 
 def _saved(tracer: rs.Tracer, path: Path) -> None:
     tracer.save(path)
-    for scene in (None, tracer.scene):
+    is_whole = "shapes" not in tracer.structure.triangles.kinds
+    for scene in (None, tracer.scene) if is_whole else (tracer.scene,):
         loaded = rs.Tracer.load(path, scene)
         found, wanted = (one.first_hit(*RAY, **_world(one)) for one in (loaded, tracer))
         assert found.t == wanted.t

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from raystream.scene.mesh import Mesh
     from raystream.scene.scene import Scene
     from raystream.scene.sensor_track import SensorTrack
+    from raystream.scene.shape import Shape
     from raystream.scene.texture import Texture
     from raystream.structures.brute.options import Brute
     from raystream.structures.bvh.options import Bvh
@@ -109,6 +110,7 @@ _HOMES = {
         "scene.mesh": "Mesh",
         "scene.scene": "Scene",
         "scene.sensor_track": "SensorTrack",
+        "scene.shape": "Shape",
         "scene.texture": "Texture",
         "structures.brute.options": "Brute",
         "structures.bvh.options": "Bvh",
@@ -156,6 +158,7 @@ __all__ = [
     "RaystreamWarning",
     "Scene",
     "SensorTrack",
+    "Shape",
     "SpotLight",
     "StructureOptions",
     "Texture",

@@ -16,6 +16,7 @@ COLUMNS = {
     "instances": "instances",
     "spheres": "spheres",
     "fields": "height fields",
+    "shapes": "shapes",
     "float64": "float64",
     "placed spheres": "instances of spheres",
     "placed fields": "instances of height fields",
@@ -31,7 +32,7 @@ def written() -> str:
     lines = [
         ".. list-table::",
         "   :header-rows: 1",
-        "   :widths: 30 10 10 10 10 10 10 10",
+        "   :widths: 28 9 9 9 9 9 9 9 9",
         "",
         "   * - feature",
         *(f"     - {head}" for head in COLUMNS.values()),

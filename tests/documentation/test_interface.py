@@ -66,7 +66,7 @@ NAMES = """
     KdTree StructureOptions
     register_structure Cpu Cuda Graphics Branching Compute Multipass
     surface_points view_factors visibility visible_faces
-    SensorTrack lidar_sweep sweep_patterns terrain
+    SensorTrack Shape lidar_sweep sweep_patterns terrain
 """
 
 

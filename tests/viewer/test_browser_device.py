@@ -289,7 +289,7 @@ def test_a_scene_that_is_not_supported_says_so(browser):  # noqa: F811
     with rs.view(scene) as served:
         viewer = Viewer(browser, served.url, FRAGMENT, **WINDOW)
         viewer.wait(lambda: [m for m in viewer.messages if m["type"] == "structure"], "a structure")
-        reason = "The shaders of pages do not support spheres and height fields."
+        reason = "The shaders of pages do not support spheres, height fields and shapes."
         choose_browser(viewer)
         wait_until_it_says(viewer, f"{reason} The server renders.")
         viewer.wait_for_rest()

@@ -21,6 +21,8 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
         "tracer or the scene",
         "spheres": "not supported in a scene with spheres",
         "fields": "not supported in a scene with height fields",
+        "shapes": "not supported in a scene with shapes of users",
+        "shapes without distance": "not supported in a scene with shapes without distance=",
         "float64": "not supported with precision='float64'",
         "placed float64": "not supported in a scene with instances and precision='float64'",
         "placed spheres": "not supported in a scene with instances of spheres",
@@ -33,14 +35,22 @@ MACHINE_REFUSAL = "not supported with"
 
 _ALL = tuple(REFUSALS)
 _PLACED = ("instances", "worlds")
-_PRIMITIVES = ("spheres", "fields")
+_SHAPES = ("shapes", "shapes without distance")
+_PRIMITIVES = ("spheres", "fields", *_SHAPES)
 _BOTH = ("placed spheres", "placed fields")
-_ONE = ("instances", *_PRIMITIVES, "float64")
-_ONE_WORLD = (*_ONE, *_BOTH, "placed float64")
+_ONE = ("instances", "spheres", "fields", "float64")
+_NO_SHAPES = (*_ONE, *_BOTH, "placed float64")
+_ONE_WORLD = (*_NO_SHAPES, *_SHAPES)
+_WITH_DISTANCE = tuple(one for one in _ALL if one != "shapes without distance")
 
 # Why a kind of scene lacks a feature.
 _SETS = "worlds are sets of instances"
 _DEVICE = "its traversal on the device finds triangles in instances"
+_HOST = "functions of users are compiled for the CPU"
+_AREAS = "areas of shapes are not known"
+_SLOPES = "functions of users have no derivatives"
+_INSIDE = "what functions of users do cannot be shown"
+_CODE = "functions of users are not sent to other machines"
 
 
 class Feature(NamedTuple):
@@ -64,6 +74,8 @@ class Feature(NamedTuple):
     notes: Mapping[str, str] = MappingProxyType({})
 
 
+_DISTANCE = MappingProxyType({"shapes": "with ``distance=``"})
+
 #: Features by name, as errors name them, in the order of the documentation's table. A feature that
 #: is not listed here is of triangles in float32 alone.
 FEATURES: Mapping[str, Feature] = MappingProxyType(
@@ -77,7 +89,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "device='cpu', machine='branching'": Feature(_ALL),
         "precision='float64'": Feature(("instances", "worlds", "float64", "placed float64")),
         "device='cuda', machine='branching'": Feature(
-            (*_ONE, "worlds"), '``device="cuda"``', _DEVICE
+            (*_ONE, "worlds"), '``device="cuda"``', f"{_DEVICE}; {_HOST}"
         ),
         "device='graphics', machine='compute'": Feature(_PLACED),
         "worlds": Feature(
@@ -97,6 +109,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
                 ),
                 "spheres": "a scene of as many",
                 "fields": "a scene of as many samples",
+                "shapes": "a scene of as many",
             },
         ),
         "render": Feature(_ONE_WORLD, "`render`"),
@@ -112,22 +125,29 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "out": Feature(_ALL, "`visibility` with ``out=``"),
         "cutouts=True, with surfaces that are not opaque": Feature(_ALL, "cut-outs in analyses"),
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
-        "view_factors": Feature(_ONE_WORLD, "`view_factors`"),
-        "closest points": Feature(_ALL, "`closest_point`, `signed_distance`"),
-        "inside tests": Feature(
-            _ALL,
-            "`contains`",
-            notes=dict.fromkeys(
-                ("fields", "placed fields"), '``method="winding"``: they are open surfaces'
-            ),
+        "view_factors": Feature(_NO_SHAPES, "`view_factors`", _AREAS),
+        "closest points": Feature(
+            _WITH_DISTANCE, "`closest_point`, `signed_distance`", notes=_DISTANCE
         ),
-        "winding numbers": Feature(_ALL, "`winding_number`"),
+        "inside tests": Feature(
+            _WITH_DISTANCE,
+            "`contains`",
+            notes={
+                **_DISTANCE,
+                **dict.fromkeys(
+                    ("fields", "placed fields"), '``method="winding"``: they are open surfaces'
+                ),
+            },
+        ),
+        "winding numbers": Feature(_WITH_DISTANCE, "`winding_number`", notes=_DISTANCE),
         "query_zarr": Feature(_ONE_WORLD, "`query_zarr`"),
-        "save": Feature(_ALL, "`Tracer.save`, `Tracer.load`"),
-        "raystream.torch": Feature(_ONE_WORLD, "`raystream.torch`", _SETS),
-        "raystream.jax": Feature(_ONE_WORLD, "`raystream.jax`", _SETS),
-        "a cluster": Feature(_ONE_WORLD, "clusters", _SETS),
-        "walk": Feature(_ONE_WORLD, "`raystream.stepper.walk`", _SETS),
+        "save": Feature(
+            _ALL, "`Tracer.save`, `Tracer.load`", notes={"shapes": "loaded with the scene"}
+        ),
+        "raystream.torch": Feature(_NO_SHAPES, "`raystream.torch`", _SLOPES),
+        "raystream.jax": Feature(_NO_SHAPES, "`raystream.jax`", _SLOPES),
+        "a cluster": Feature(_NO_SHAPES, "clusters", _CODE),
+        "walk": Feature(_NO_SHAPES, "`raystream.stepper.walk`", _INSIDE),
     }
 )
 

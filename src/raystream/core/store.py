@@ -31,7 +31,7 @@ class Store:
     number_type : type
         Of t, u, v and normals of hits.
     has_primitives : bool
-        Whether there may be spheres and height fields.
+        Whether there may be spheres, height fields and shapes.
     fields : tuple of HeightField
     instances : Instances or None
     world_count : int
@@ -117,6 +117,10 @@ class Store:
     def sphere_rows(self, prim_id: NDArray[np.int32]) -> NDArray[np.int64]:
         """The spheres of hits, -1 for other primitives and misses."""
         return np.full(prim_id.shape, -1)
+
+    def is_curved(self, prim_id: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Whether hits are of spheres or shapes, on which u and v are no weights of vertices."""
+        return np.zeros(prim_id.shape, np.bool_)
 
     def materials_at(self, prim_id: NDArray[np.int32]) -> NDArray[np.int32]:
         """Materials of hits, int32; -1 for misses, 0 if they are not known."""

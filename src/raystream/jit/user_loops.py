@@ -22,6 +22,13 @@ def as_device(function: Callable[..., Any]) -> Callable[..., Any]:
     return user_device(function)
 
 
+def checked_device(function: Callable[..., Any]) -> Any:
+    """Compile a Python function that writes to arrays: an index beyond their end raises."""
+    made: Any = user_device(getattr(function, "py_func", function))
+    made.targetoptions["boundscheck"] = True
+    return made
+
+
 class Loop:
     """A compiled loop, compiled by the first call for each combination of argument types.
 

@@ -30,7 +30,7 @@ def surface_points(
         Triangles, counted over the whole scene; -1 for no point, as in a miss.
     u, v : array_like that broadcast to S, real
         Weights of vertices 1 and 2, as in `Hits` [default: the triangles' centres]; of spheres, two
-        numbers from 0 to 1.
+        numbers from 0 to 1; of shapes, those of a hit.
     instance_ids : array_like that broadcasts to S, int, optional
         In a scene with instances: the instance that each triangle is in.
 
@@ -76,6 +76,10 @@ def surface_points(
     most = np.where(triangles.sphere_rows(ids) >= 0, 2.0, 1.0)  # of spheres, each at most 1
     is_inside = (weights[0] >= 0.0) & (weights[1] >= 0.0) & (both <= most + 2.0**-22)
     is_inside &= (weights[0] <= 1.0) & (weights[1] <= 1.0)
+    is_shape = triangles.is_curved(ids) & (triangles.sphere_rows(ids) < 0)
+    if is_shape.any() and (u is _THIRD or v is _THIRD):
+        raise ValueError("u, v: expected those of hits, for shapes")
+    is_inside |= is_shape
     if not is_inside.all():
         raise ValueError("u, v: expected weights of at least 0, with a sum of at most 1")
     t = np.where(is_miss, np.inf, 0.0).astype(triangles.number_type)

@@ -75,8 +75,9 @@ def visible_faces(
     size : tuple of two int
         Width and height of the image in pixels.
     points_per_face : int
-        Points of each triangle, its centre first (of a sphere, the point nearest the camera),
-        whose visibility is tested if the triangle covers no pixel's centre; 0 tests none.
+        Points of each triangle, its centre first (of a sphere, the point nearest the camera; of a
+        shape, where a line from there to the middle of its box meets it), whose visibility is
+        tested if the triangle covers no pixel's centre; 0 tests none.
     cutouts : bool
         Whether a surface is neither seen nor hides anything where it is cut out: where the opacity
         of its material is below its ``alpha_cutoff``, or below a half without one. False makes all
@@ -186,8 +187,8 @@ def _look_for_others(
             faces = others[begin : begin + _BLOCK]
             prim_ids, instance_ids = triangles.ids_of(faces.astype(np.int32))
             at: tuple[Any, Any] = (u, v)
-            if triangles.has_primitives and not number:
-                at = _nearest_points(camera, size, triangles, (prim_ids, instance_ids), at)
+            if triangles.has_primitives:
+                at = _nearest_points(camera, size, triangles, (prim_ids, instance_ids), at, number)
             centers = surface_points(tracer, prim_ids, *at, instance_ids)
             stops = end_points("faces", centers, None, triangles)
             origins, is_inside = seen_from(camera, size, stops.positions)
@@ -212,13 +213,20 @@ def _nearest_points(
     triangles: Any,
     ids: tuple[NDArray[np.int32], NDArray[np.int32] | None],
     otherwise: tuple[float, float],
+    number: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The u and v of points: of spheres, those toward the camera from their centres.
+    """The u and v of points of this number.
 
-    Otherwise as given. In instances, as the object sees the camera.
+    Of spheres, the first are those nearest the camera, in instances as the object sees it. Of
+    shapes, they are where lines from the camera meet them. Others are as given.
     """
     rows = triangles.sphere_rows(ids[0])
     u, v = (np.full(len(rows), one) for one in otherwise)
+    for shapes, at, own in triangles.shape_rows(ids[0]):
+        eyes, _ = seen_from(camera, size, shapes.bounds[own].mean(axis=1))
+        u[at], v[at] = shapes.places_of(own, shapes.points_toward(own, eyes, number))
+    if number:
+        return u, v
     is_sphere = rows >= 0
     centers, placed = triangles.spheres.centers[rows[is_sphere]], triangles.instances
     if placed is None or ids[1] is None:

@@ -63,6 +63,7 @@ class Branching(Backend):
             sink.put(*hits.whole())
         else:
             trace_batch(structure, query, rays, sink, progress)
+        structure.raise_faults()
 
     def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:
         """See `Backend.working_bytes`.
@@ -82,7 +83,8 @@ class Branching(Backend):
     def caster(self) -> Callable[..., Any]:
         """The structure's search of one ray; see `Backend.caster`."""
         structure = self.structure
-        return partial(structure.queries.cast, structure.frame, structure.view)
+        found = partial(structure.queries.cast, structure.frame, structure.view)
+        return structure.checked(found)
 
     def run_program(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
@@ -117,3 +119,4 @@ class Branching(Backend):
         """Find the triangles nearest to points; see `Backend.find_nearest`."""
         calls, size = nearest_calls(self.structure, batch, out)
         run_calls(calls, (0, len(batch.points)), size, progress)
+        self.structure.raise_faults()

@@ -20,20 +20,28 @@ _PAD_F64 = 2.0**-49
 
 
 def solids_with(primitives: Primitives) -> Solids:
-    """The solids of a scene: its meshes, then height fields, which are open, and all spheres."""
+    """The solids of a scene: its meshes, height fields, all spheres, and shapes of each kind.
+
+    Height fields are open, and so are shapes without a distance.
+    """
     found = solids_of(primitives.triangles)
     spheres = bool(len(primitives.spheres))
     of_fields, of_spheres = [False] * len(primitives.fields), [True] * spheres
+    of_shapes = [one.functions.has_distance for one in primitives.shapes]
     with np.errstate(over="ignore"):
         volume = 4.0 / 3.0 * np.pi * float((primitives.spheres.radii**3).sum())
-    empty = [*(one.is_empty for one in primitives.fields), *([False] * spheres)]
+    empty = [one.is_empty for one in primitives.fields]
+    empty += [*[False] * spheres, *(not len(one) for one in primitives.shapes)]
+    # Volumes order solids that hold each other: of shapes, those of their boxes do.
+    boxes = [float(np.ptp(one.bounds, axis=1).prod(axis=1).sum()) for one in primitives.shapes]
+    open_fields = [np.inf] * len(of_fields)
     return Solids(
-        np.append(found.is_closed, [*of_fields, *of_spheres]).astype(bool),
+        np.append(found.is_closed, [*of_fields, *of_spheres, *of_shapes]).astype(bool),
         np.append(found.is_flipped, np.zeros(len(empty), bool)),
         np.append(found.is_empty, empty).astype(bool),
         np.append(found.has_slivers, np.zeros(len(empty), bool)),
-        np.append(found.volumes, [*(np.inf for _ in of_fields), *([volume] * spheres)]),
-        found.is_closed_together and all(empty[: len(of_fields)]),
+        np.append(found.volumes, [*open_fields, *([volume] * spheres), *boxes]),
+        found.is_closed_together and all(empty[: len(of_fields)]) and all(of_shapes),
     )
 
 

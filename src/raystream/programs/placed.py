@@ -109,23 +109,23 @@ _known = WeakKeyDictionary()
 
 
 @device
-def _seen_triangle(at, number, direction):
+def _seen_triangle(at, number, u, v, direction):  # noqa: ARG001
     """See `primitive_hits.seen_from`; and the part of the object, which has no other."""
     corners = load(np.uint64, at) + np.uint64(number) * _TRIANGLE
     return number, faces_front(corners, direction), ZERO_U64
 
 
 @device
-def _seen_primitive(at, number, direction):
+def _seen_primitive(at, number, u, v, direction):
     held = ObjectRecord(load(np.uint64, at))
-    prim_id, is_entering = seen_from(held, number, direction)
+    prim_id, is_entering = seen_from(held, number, u, v, direction)
     own = np.uint64(prim_id)
     part = np.uint64(own >= held.first_field) + np.uint64(own >= held.first_sphere)
     return prim_id, is_entering, part
 
 
 @device
-def _seen_float64(at, number, direction):
+def _seen_float64(at, number, u, v, direction):  # noqa: ARG001
     return number, faces_ray(Float64Record(load(np.uint64, at)), number, direction), ZERO_U64
 
 
@@ -141,7 +141,7 @@ def _hit_function(seen):
         index = np.int64(number) - load(np.int64, scene.first_ids + instance * _LONG)
         at = scene.parts + instance * _PART_BYTES
         direction = _moved(at + _LINEAR, direction_at(rays, position))
-        own, is_entering, part = seen(at, np.int32(index), direction)
+        own, is_entering, part = seen(at, np.int32(index), u, v, direction)
         prim_id = np.int32(load(np.int64, at + _SHIFTS + part * _LONG) + own)
         splits, mesh_count = scene.mesh_splits, scene.mesh_count
         mesh = interval_of(splits, mesh_count, scene.mesh_halvings, np.int64(prim_id))

@@ -1,6 +1,7 @@
-"""Hits of programs and filters in scenes with spheres or height fields.
+"""Hits of programs and filters in scenes with spheres, height fields or shapes.
 
-Kernels give a sphere two numbers: where a ray enters it, and where it leaves.
+Kernels give a sphere two numbers: where a ray enters it, and where it leaves; and a shape one for
+each crossing.
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from raystream.core.primitives import Primitives
+from raystream.geometry.primitives.records import shape_records
 from raystream.jit.constants import BYTES_32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.jit.views import view
 from raystream.kernels.intervals import halvings_of, interval_of
+from raystream.kernels.shapes import ShapeRecord, enters
 from raystream.programs.hits import (
     Hit,
     direction_at,
@@ -43,8 +46,11 @@ class PrimitivesAt(NamedTuple):
         Addresses of a record for each height field, and of `Primitives.first_fields`.
     field_count, field_halvings : uint64
         And the steps of the binary search for a field.
-    first_field, first_sphere : uint64
-        The numbers of the first triangle of a field, and of the first sphere.
+    first_field, first_sphere, first_crossing : uint64
+        The numbers of the first triangle of a field, of the first sphere, and of the first shape.
+    shapes, first_shape, crossings : uint64
+        Address of the records of the shapes by their prim_ids, which begin at `first_shape`; and
+        the numbers that each has.
     mesh_splits : uint64
         Address of `Primitives.mesh_splits`.
     mesh_count, mesh_halvings : uint64
@@ -58,6 +64,10 @@ class PrimitivesAt(NamedTuple):
     field_halvings: np.uint64
     first_field: np.uint64
     first_sphere: np.uint64
+    first_crossing: np.uint64
+    shapes: np.uint64
+    first_shape: np.uint64
+    crossings: np.uint64
     mesh_splits: np.uint64
     mesh_count: np.uint64
     mesh_halvings: np.uint64
@@ -76,7 +86,8 @@ class PrimitivesAt(NamedTuple):
         if store.has_primitives:
             return cls.of(store)
         corners, count = store.corners, len(store)
-        numbers = corners.ctypes.data, 0, 0, 0, 0, count, count, 0, 0, 0
+        nothing_else = (count, count, count, 0, count, 1, 0, 0, 0)
+        numbers = corners.ctypes.data, 0, 0, 0, 0, *nothing_else
         return cls(*np.array(numbers, np.uint64)), (corners,)
 
     @classmethod
@@ -86,7 +97,7 @@ class PrimitivesAt(NamedTuple):
         places = [[one.ctypes.data for one in (own.heights, own.x, own.y)] for own in local]
         given = zip(places, primitives.fields, strict=True)
         rows = [(*at, len(field.x) - 1, field.is_upward) for at, field in given]
-        records = np.array(rows, _FIELD)
+        records, shapes = np.array(rows, _FIELD), shape_records(primitives)
         numbers = (
             corners.ctypes.data,
             records.ctypes.data,
@@ -95,11 +106,15 @@ class PrimitivesAt(NamedTuple):
             halvings_of(len(records)),
             firsts[0],
             firsts[-1],
+            primitives.first_crossing,
+            shapes.ctypes.data,
+            primitives.first_shapes[0],
+            primitives.crossings,
             splits.ctypes.data,
             len(splits) - 1,
             halvings_of(len(splits) - 1),
         )
-        kept = corners, records, firsts, local, splits
+        kept = corners, records, firsts, local, splits, shapes
         return cls(*np.array(numbers, np.uint64)), kept
 
 
@@ -139,13 +154,17 @@ def _field_faces_front(scene, number, direction):
 
 
 @device
-def seen_from(scene, number, direction):
+def seen_from(scene, number, u, v, direction):
     """The prim_id of a number, and whether a ray of a direction comes from the front there."""
     prim_id = number
     if np.uint64(number) < scene.first_field:
         is_entering = faces_front(scene.corners + np.uint64(number) * _TRIANGLE, direction)
     elif np.uint64(number) < scene.first_sphere:
         is_entering = _field_faces_front(scene, number, direction)
+    elif np.uint64(number) >= scene.first_crossing:
+        row = (np.uint64(number) - scene.first_crossing) // scene.crossings
+        prim_id = np.int32(scene.first_shape + row)
+        is_entering = enters(ShapeRecord(scene.shapes, row), u, v, direction)
     else:
         of_sphere = np.uint64(number) - scene.first_sphere
         prim_id = np.int32(scene.first_sphere + (of_sphere >> ONE_U64))
@@ -156,6 +175,6 @@ def seen_from(scene, number, direction):
 @device
 def primitive_hit_of(ray, t, u, v, number, rays, position, scene):
     """A `Hit` of the primitive of this number; see `hits.hit_of` for the arguments."""
-    prim_id, is_entering = seen_from(scene, number, direction_at(rays, position))
+    prim_id, is_entering = seen_from(scene, number, u, v, direction_at(rays, position))
     mesh = interval_of(scene.mesh_splits, scene.mesh_count, scene.mesh_halvings, np.int64(prim_id))
     return Hit(np.int64(ray), t, u, v, prim_id, np.int32(mesh), is_entering, _NO_INSTANCE)

@@ -85,6 +85,6 @@ def form_of(store: Store) -> SceneForm:
         if store.number_type is np.float64:
             return _placed_float64()
         return _PLACED_PRIMITIVES if store.has_primitives else _PLACED
-    if "spheres" in store.kinds or "fields" in store.kinds:
+    if store.has_primitives:
         return _PRIMITIVES
     return _float64() if "float64" in store.kinds else TRIANGLES

@@ -136,6 +136,9 @@ def _digest(scene: Scene) -> str:
     if triangles.has_primitives:
         for array in vars(triangles.spheres).values():
             add(array)
+        for shapes in triangles.shapes:
+            for part in (shapes.records, shapes.material_ids, shapes.functions.identity()):
+                add(part)
         for field in triangles.fields:
             for part in (field.heights, field.x, field.y, (field.base, field.material_id)):
                 add(part)

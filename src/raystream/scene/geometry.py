@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.attributes import Attributes
 from raystream.core.height_field import HeightField
 from raystream.core.instances import Instances
+from raystream.core.shapes import Shapes
 from raystream.core.spheres import NO_SPHERES, Spheres
 from raystream.core.triangles import Triangles
 from raystream.scene.mesh import Mesh
@@ -38,15 +39,17 @@ class Geometry:
     attributes : Attributes
     instances : Instances or None
     has_primitives : bool
-        Whether it was made for spheres and height fields.
+        Whether it was made for spheres, height fields and shapes.
     fields : tuple of HeightField
     spheres : Spheres
+    shapes : tuple of Shapes
     """
 
     instances: Instances | None = None
     has_primitives = False
     fields: tuple[HeightField, ...] = ()
     spheres: Spheres = NO_SPHERES
+    shapes: tuple[Shapes, ...] = ()
 
     def __init__(self, meshes: Iterable[Mesh], triangles: Triangles | None = None) -> None:
         self.meshes = tuple(meshes)
@@ -77,7 +80,9 @@ class Geometry:
     def material_ids(self) -> NDArray[np.int32]:
         """The material of each primitive, by prim_id, int32."""
         fields = (np.full(len(one), one.material_id, np.int32) for one in self.fields)
-        return np.concatenate([self.attributes.material_ids, *fields, self.spheres.material_ids])
+        shapes = (one.material_ids for one in self.shapes)
+        beside = (*fields, self.spheres.material_ids, *shapes)
+        return np.concatenate([self.attributes.material_ids, *beside])
 
     def default_view(self, up: NDArray[np.float64]) -> DefaultView:
         """The view of a scene without a camera; kept, for the last up."""

@@ -156,6 +156,8 @@ class Objects(NamedTuple):
             return first, None
         shift = len(self.materials)
         self.materials.extend(one.materials)
+        if geometry.shapes:
+            raise ValueError("objects: one is a scene with shapes, which cannot be instances")
         inner = geometry.instances
         if inner is not None and inner.worlds is not None:
             raise ValueError("objects: one is a scene whose instances are in worlds")

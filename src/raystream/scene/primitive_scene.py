@@ -1,4 +1,4 @@
-"""PrimitiveScene: spheres and height fields of a scene, a base class of `Scene`."""
+"""PrimitiveScene: spheres, height fields and shapes of a scene, a base class of `Scene`."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ import numpy as np
 
 from raystream.core.height_field import HeightField
 from raystream.core.masks import ALL_BITS
+from raystream.core.shapes import Shapes
 from raystream.core.spheres import NO_SPHERES, Spheres
 from raystream.scene.instanced_scene import InstancedScene
 from raystream.scene.primitive_geometry import PrimitiveGeometry, combined
+from raystream.scene.shape import Shape
 
 if TYPE_CHECKING:
     from raystream.scene.scene import Scene
 
 
 class PrimitiveScene(InstancedScene):
-    """Spheres, and terrain without triangles."""
+    """Spheres, terrain without triangles, and shapes of users."""
 
     @classmethod
     def spheres(
@@ -156,8 +158,53 @@ class PrimitiveScene(InstancedScene):
         return cls._of_primitives(PrimitiveGeometry((), (field,), NO_SPHERES), parts)
 
     @classmethod
+    def shapes(
+        cls,
+        shape: Shape,
+        records: Any,
+        *,
+        material_ids: Any = 0,
+        mask: int = ALL_BITS,
+        **parts: Any,
+    ) -> Self:
+        """Make a scene of shapes whose geometry is written in Python; see `Shape`.
+
+        Parameters
+        ----------
+        shape : Shape
+            Their kind.
+        records : array_like of shape (N,), structured
+            The parameters of each shape, as the functions of `shape` read them. They are copied.
+        material_ids, mask, **parts
+            As for `spheres`.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        ValueError
+            If bounds are not finite, or a low corner is above the high one. A tracer raises it if
+            all crossings together would be 2**31 or more.
+        TypeError
+            If the records are not structured, or a function cannot be compiled.
+        RaystreamError
+            If a function fails; queries raise it, too.
+
+        Notes
+        -----
+        Each crossing of a ray with a shape is a hit. ``structure="bvh"`` and ``"brute"`` on the CPU
+        answer all queries; :ref:`what-works` says what else is supported.
+        """
+        if not isinstance(shape, Shape):
+            raise TypeError(f"shape: expected a Shape, got {type(shape).__name__}")
+        held = Shapes.of(shape, records, material_ids, mask)
+        return cls._of_primitives(PrimitiveGeometry((), (), NO_SPHERES, (held,)), parts)
+
+    @classmethod
     def combine(cls, scenes: Iterable[Scene], **parts: Any) -> Self:
-        """Combine the meshes, height fields and spheres of several scenes into one.
+        """Combine the meshes, height fields, spheres and shapes of several scenes into one.
 
         Parameters
         ----------
@@ -171,9 +218,10 @@ class PrimitiveScene(InstancedScene):
         -------
         Scene
             ``prim_id`` counts the triangles of all meshes, then those of all height fields, then
-            all spheres, scenes one after another; ``mesh_id`` counts each height field as a mesh,
-            and all spheres as one. Materials are those of the scenes, one after another. If one has
-            instances, each of the others becomes an instance, see `Scene.instances`.
+            all spheres, then all shapes, scenes one after another; ``mesh_id`` counts each height
+            field as a mesh, all spheres as one, and the shapes of each scene as one. Materials are
+            those of the scenes, one after another. If one has instances, each of the others becomes
+            an instance, see `Scene.instances`.
 
         Raises
         ------
@@ -213,28 +261,29 @@ class PrimitiveScene(InstancedScene):
 
     @property
     def has_primitives(self) -> bool:
-        """Whether there are spheres or height fields, rather than triangles alone."""
+        """Whether there are spheres, height fields or shapes, rather than triangles alone."""
         return self._geometry.has_primitives
 
     def mesh_name(self, mesh_id: int) -> str:
-        """Name of a hit's mesh: that of the mesh, "height field" or "spheres"."""
-        meshes = self._geometry.meshes
-        if mesh_id < len(meshes):
-            return meshes[mesh_id].name
-        fields = self._geometry.fields
-        return "height field" if mesh_id < len(meshes) + len(fields) else "spheres"
+        """Name of a hit's mesh: that of the mesh or `Shape`, "height field" or "spheres"."""
+        held = self._geometry
+        names = [mesh.name for mesh in held.meshes] + ["height field"] * len(held.fields)
+        names += ["spheres"] * bool(len(held.spheres))
+        return (names + [one.functions.name for one in held.shapes])[mesh_id]
 
     @property
     def primitive_materials(self) -> frozenset[int]:
-        """The materials of spheres and height fields."""
+        """The materials of spheres, height fields and shapes."""
         geometry = self._geometry
         ids = {field.material_id for field in geometry.fields}
-        return frozenset(ids.union(np.unique(geometry.spheres.material_ids).tolist()))
+        others: list[Any] = [geometry.spheres, *geometry.shapes]
+        return frozenset(ids.union(*(np.unique(one.material_ids).tolist() for one in others)))
 
     @property
     def primitive_counts(self) -> str:
-        """Numbers of height fields and spheres, as text to append; empty if there are none."""
+        """Numbers of what is no mesh, as text to append; empty if there is nothing."""
         geometry = self._geometry
         fields = [f", a height field of {f.heights.shape}" for f in geometry.fields]
         count = len(geometry.spheres)
-        return "".join(fields) + (f", {count:,} spheres" if count else "")
+        shapes = [f", {len(one):,} of {one.functions.name}" for one in geometry.shapes]
+        return "".join([*fields, *[f", {count:,} spheres"] * bool(count), *shapes])

@@ -21,7 +21,7 @@ def geometry_of_store(store: Any) -> Geometry:
         return InstancedGeometry(objects, store.instances)
     if store.has_primitives:
         meshes = _bare_meshes(store.triangles, store.mesh_masks)
-        return PrimitiveGeometry(meshes, store.fields, store.spheres)
+        return PrimitiveGeometry(meshes, store.fields, store.spheres, store.shapes)
     return Geometry(_bare_meshes(store, store.mesh_masks), store)
 
 

@@ -188,6 +188,14 @@ class Structure(ABC):
         """The calls that add what is not triangles to winding numbers of world points, if any."""
         return None
 
+    def raise_faults(self) -> None:
+        """Raise what went wrong in users' functions that its geometry has, see `Shape`."""
+        return
+
+    def checked(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """A function of kernels, or one that also does `raise_faults`."""
+        return function
+
     @property
     def nested(self) -> Nested:
         """The addresses that are in the arrays, and the arrays there."""

@@ -124,6 +124,7 @@ _OF_KINDS = {
     "float64": "raystream.geometry.float64.structure",
     "instances": "raystream.geometry.instances.structure",
     "fields": "raystream.geometry.primitives.structure",
+    "shapes": "raystream.geometry.primitives.structure",
     "spheres": "raystream.geometry.primitives.structure",
 }
 

@@ -33,6 +33,8 @@ def store_of(kinds: Any, arrays: Arrays) -> Store:
     ValueError
         If the kinds are unknown, or an array is missing or invalid.
     """
+    if isinstance(kinds, list) and "shapes" in kinds:
+        raise ValueError("holds shapes, whose functions are not in files; load it with its scene")
     make = _MAKERS.get(str(kinds[0]) if isinstance(kinds, list) and kinds else "")
     if make is None:
         raise ValueError(f"holds an unknown kind of scene {kinds!r:.40}")
@@ -56,9 +58,8 @@ def arrays_of(store: Store) -> dict[str, NDArray[Any]]:
     return store.saved_arrays() | held
 
 
-def same_geometry(one: Store, other: Store) -> bool:
-    """Whether two stores hold the same numbers."""
-    arrays, others = one.saved_arrays(), other.saved_arrays()
+def same_arrays(arrays: Arrays, others: Arrays) -> bool:
+    """Whether two stores hold the same numbers, see `Store.saved_arrays`."""
     return arrays.keys() == others.keys() and all(
         np.array_equal(array, others[name], equal_nan=True) for name, array in arrays.items()
     )

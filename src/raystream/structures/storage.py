@@ -19,7 +19,7 @@ from raystream.structures.saved_stores import (
     Arrays,
     arrays_of,
     part_of,
-    same_geometry,
+    same_arrays,
     store_of,
 )
 
@@ -105,10 +105,17 @@ def load_structure(
     arrays = read_npz(path)
     made, options, kinds = _header(path, arrays)
     try:
-        stored: Any = store_of(kinds, part_of(arrays, "triangles"))
-        if triangles_in is not None:
-            given = triangles_in("float64" if stored.number_type is np.float64 else "float32")
-            if not same_geometry(stored, given):
+        held: Any = part_of(arrays, "triangles")
+        stored: Any = None
+        has_shapes = isinstance(kinds, list) and "shapes" in kinds
+        if triangles_in is None or not has_shapes:
+            stored = store_of(kinds, held)
+            held, kinds = stored.saved_arrays(), list(stored.kinds)
+        if triangles_in is not None:  # only it has the functions of shapes
+            is_double = stored is not None and stored.number_type is np.float64
+            given = triangles_in("float64" if is_double else "float32")
+            held = {name: one for name, one in held.items() if not name.startswith("masks.")}
+            if list(given.kinds) != kinds or not same_arrays(held, given.saved_arrays()):
                 raise ValueError("was built from other triangles than the scene's; rebuild it")
             stored = given
         return structure_of(stored, arrays, _options(made, options))

@@ -186,7 +186,7 @@ def test_an_error_of_any_kind_is_one_line(visit, monkeypatch, error, reason):
 
 def test_what_shaders_do_not_support_is_named(visit):
     guest, client = visit(rs.Scene.spheres([[0.0, 0.0, 0.0]], 1.0))
-    reason = "The shaders of pages do not support spheres and height fields."
+    reason = "The shaders of pages do not support spheres, height fields and shapes."
     assert client.structure["browser"] == {"modes": [], "reason": reason}
     answer = load(guest, client)
     assert (answer.status, answer.body.decode().strip()) == (409, reason)

@@ -1,4 +1,4 @@
-"""The kernels for many rays through triangles, height fields and spheres."""
+"""The kernels for many rays through triangles, height fields, spheres and shapes."""
 
 from __future__ import annotations
 

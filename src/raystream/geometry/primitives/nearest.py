@@ -1,6 +1,7 @@
-"""The nearest triangles, height fields and spheres of a point: one search through all of them.
+"""The nearest triangles, height fields, spheres and shapes of a point: one search through all.
 
 A sphere's distance is the difference between its radius and the distance of its centre, in float64.
+A shape's is what its user's function says, but at least that of its box: trees leave out none.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from raystream.geometry.fields.cells import (
     fill_row,
 )
 from raystream.geometry.primitives.records import SPHERES_PER_BLOCK, FieldRecord, SphereBlock
+from raystream.geometry.shapes.nearest import shape_foot, shape_squared
+from raystream.geometry.shapes.shape import shape_of
 from raystream.geometry.spheres.sphere import octahedral
 from raystream.jit.constants import ONE_F64, SHIFT_32, SHIFT_64, ZERO_F32, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device
@@ -31,9 +34,10 @@ from raystream.jit.simd import (
 from raystream.jit.views import address_of
 from raystream.kernels.answers import loop_of
 from raystream.kernels.leaf_block import BLOCK, PRIM_IDS
-from raystream.kernels.nearest import RowShape, corners_at
+from raystream.kernels.nearest import RowShape, corners_at, offer_squared
 from raystream.kernels.point_queries import PointSearch, nearest_answer
 from raystream.kernels.point_triangle import Foot, foot_of, triangle_features
+from raystream.kernels.shapes import ShapeRecord
 from raystream.kernels.vectors import dot
 from raystream.structures.brute.nearest import offer_all
 from raystream.structures.bvh.nearest import (
@@ -51,15 +55,15 @@ from raystream.structures.bvh.walks.single import STACK_BYTES
 _CELLS = np.uint64(4)
 
 #: Strides of `kernels.nearest.ROW`: of a sphere, bytes between its numbers; of a triangle of a
-#: height field, whose place is its field's.
-_SPHERE, _FIELD = np.int32(8 * SPHERES_PER_BLOCK), np.int32(-1)
+#: height field, whose place is its field's; and of a shape.
+_SPHERE, _FIELD, _SHAPE = np.int32(8 * SPHERES_PER_BLOCK), np.int32(-1), np.int32(-2)
 
 #: Where a block of spheres has their numbers.
 _NUMBERS = np.uint64(4 * 8 * SPHERES_PER_BLOCK)
 
 
 class SphereTree(NamedTuple):
-    """The spheres' tree, by the names that walks read, and the scene's frame."""
+    """A tree of spheres or shapes, by the names that walks read, and the scene's frame."""
 
     nodes: np.uint64
     leaves: np.uint64
@@ -125,6 +129,20 @@ def _sphere_foot(point, sphere, frame):
     return Foot(squared, at_x, at_y, at_z, np.float64(u), np.float64(v))
 
 
+# Shapes
+
+
+@device
+def _offer_shape(own, point, search, frame):
+    squared, place = shape_squared(own, point, frame), address_of(own)
+    return offer_squared(search, squared, own.number, place, _SHAPE)
+
+
+@device
+def _visit_shape(tree, child, line, search, _stack):
+    return _offer_shape(shape_of(tree.leaves, child), line.moved, search, tree), False
+
+
 # Height fields
 
 
@@ -183,14 +201,41 @@ def _foot(view, frame, point, row):  # noqa: ARG001
     return foot_of(triangle_features(point, a, b, c), a, b, c)
 
 
-_ROWS = RowShape(_measure, _foot)
+@device
+def _measure_any(view, frame, point, row):
+    if row.stride == _SHAPE:
+        return shape_squared(ShapeRecord(row.place), point, frame)
+    return _measure(view, frame, point, row)
+
+
+@device
+def _foot_any(view, frame, point, row):
+    if row.stride == _SHAPE:
+        return shape_foot(ShapeRecord(row.place), point, frame)
+    return _foot(view, frame, point, row)
+
+
+#: Of all primitives but shapes, whose functions devices do not have; and of all.
+_ROWS, _ALL_ROWS = RowShape(_measure, _foot), RowShape(_measure_any, _foot_any)
+
+
+@device
+def _no_shapes(tree, line, search, stack, wants_any):  # noqa: ARG001
+    return search
 
 
 def trees_search(
-    walk_triangles: Callable[..., Any], walk_of: Callable[..., Any], stack_bytes: int
+    walk_triangles: Callable[..., Any],
+    walk_of: Callable[..., Any],
+    stack_bytes: int,
+    rows: RowShape = _ROWS,
 ) -> PointSearch:
-    """Make the search of the trees; see `structures.bvh.nearest.nearest_walk` for the walks."""
+    """Make the search of the trees; see `structures.bvh.nearest.nearest_walk` for the walks.
+
+    `rows` is of what is searched; by default, shapes are not.
+    """
     walk_spheres = walk_of(_visit_spheres)
+    walk_shapes = walk_of(_visit_shape) if rows is _ALL_ROWS else _no_shapes
 
     @device
     def find_in_trees(held, frame, query, search, stack):
@@ -201,9 +246,11 @@ def trees_search(
             key = float_as_bits(ZERO_F32)
             search = _walk_field(field, (False, False), key, line, search, stack)
         tree = SphereTree(held.sphere_nodes, held.sphere_blocks, frame.center, frame.scale)
-        return walk_spheres(tree, line, search, stack, False)
+        search = walk_spheres(tree, line, search, stack, False)
+        tree = SphereTree(held.shape_nodes, held.shapes, frame.center, frame.scale)
+        return walk_shapes(tree, line, search, stack, False)
 
-    return PointSearch(find_in_trees, max(stack_bytes, PACKET_BYTES), _ROWS)
+    return PointSearch(find_in_trees, max(stack_bytes, PACKET_BYTES), rows)
 
 
 @device
@@ -220,12 +267,15 @@ def _find_among_all(held, frame, query, search, stack):
     for k in range(held.block_count):
         block = address_of(SphereBlock(held.sphere_blocks, k))
         search = _offer_spheres(block, query.moved, search, frame)
+    for k in range(held.shape_count):
+        search = _offer_shape(ShapeRecord(held.shapes, k), query.moved, search, frame)
     return search
 
 
 #: The search over all primitives.
-AMONG_ALL = PointSearch(_find_among_all, PACKET_BYTES, _ROWS)
+AMONG_ALL = PointSearch(_find_among_all, PACKET_BYTES, _ALL_ROWS)
 
 #: The loops over points, through the trees and over all primitives.
-find_in_trees = loop_of(*nearest_answer(trees_search(walk_triangles, nearest_walk, STACK_BYTES)))
+_IN_TREES = trees_search(walk_triangles, nearest_walk, STACK_BYTES, _ALL_ROWS)
+find_in_trees = loop_of(*nearest_answer(_IN_TREES))
 find_among_all = loop_of(*nearest_answer(AMONG_ALL))

@@ -1,6 +1,6 @@
-"""Packets of 256 rays through triangles, height fields and spheres: the kernel for coherent rays.
+"""Packets of 256 rays through triangles, height fields, spheres and shapes: for coherent rays.
 
-A packet is loaded once and walks three trees, one after another: what its rays have found in one
+A packet is loaded once and walks four trees, one after another: what its rays have found in one
 shortens their intervals in the next. A sphere is tested against sixteen rays. Height fields are the
 leaves of a tree over all of them; in each, groups of the packet descend the field's own tree of
 blocks of cells, and the triangles of a row of cells are written as leaf blocks, once for all rays.
@@ -13,18 +13,39 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.core.shapes import MOST_HITS
 from raystream.geometry.fields.cells import PACKET_BYTES, field_walk, fill_row
 from raystream.geometry.primitives.records import (
     SPHERES_PER_BLOCK,
     FieldRecord,
     SphereBlockLanes,
 )
+from raystream.geometry.shapes.shape import local_t, place_at, shape_of
+from raystream.geometry.shapes.shape import own_box as shape_box
 from raystream.geometry.spheres.sphere import HIT, ExactRay, intersect, load_exact, own_box, place
-from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, THREE_U64, TWO_U64, ZERO_U64
+from raystream.jit.constants import (
+    NULL,
+    ONE_U64,
+    SHIFT_32,
+    SHIFT_64,
+    THREE_U64,
+    TWO_U64,
+    ZERO_U64,
+)
 from raystream.jit.cpu import device
-from raystream.jit.simd import count_trailing_zeros, lane, lanes_from_bits, mask16, scratch, store
+from raystream.jit.simd import (
+    count_trailing_zeros,
+    lane,
+    lanes_from_bits,
+    load,
+    mask16,
+    mask_bits,
+    scratch,
+    store,
+)
 from raystream.jit.views import view
 from raystream.kernels.ray import SceneFrame
+from raystream.kernels.shapes import CROSSINGS_BYTES, crossings
 from raystream.kernels.triangle_lanes import planes_along, slab_interval
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.leaf_kinds import no_prefetch
@@ -62,7 +83,7 @@ _TWO_BLOCKS = np.int32(~1)
 
 
 class PrimitiveLeaf(NamedTuple):
-    """Leaves of spheres, or of height fields; see `walks.packet.trace_packet`.
+    """Leaves of spheres, of shapes, or of height fields; see `walks.packet.trace_packet`.
 
     Attributes
     ----------
@@ -137,6 +158,84 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
     return has_hit
 
 
+# Shapes
+
+#: The crossings of sixteen rays with a shape that have the same place in their order; `exact` is
+#: the distance by the user's function.
+_ROW = [("t", "f4"), ("u", "f4"), ("v", "f4"), ("exact", "f8")]
+_Row = view([*((name, kind, 16) for name, kind in _ROW), ("bits", "u8")])
+_RowLanes = view([*((name, kind, (16, 1)) for name, kind in _ROW), ("bits", "u8")])
+_ROWS_BYTES, _INTERVAL_BYTES = 328 * MOST_HITS, 128
+_INTERVAL_END = np.uint64(64)
+
+
+@device
+def _exact_of(memory, g, k, frame):
+    """Ray k of a group in float64."""
+    exact = _ExactLanes(memory, g)
+    origin, direction = _three_of(exact.origin, k), _three_of(exact.direction, k)
+    inv_square, offset = exact.inv_square[k], exact.offset[k]
+    return ExactRay(origin, direction, inv_square, offset, frame.center, frame.scale)
+
+
+@device
+def _cross_ray(shape, exact, k, at, t_min, rows, most):
+    """Write the crossings of ray k of a group with a shape; returns the rows in use."""
+    found, at = scratch(CROSSINGS_BYTES), at + (k << SHIFT_32)
+    t_in, t_out = load(np.float32, at), load(np.float32, at + _INTERVAL_END)
+    for n in range(crossings(shape, exact.origin, exact.direction, found)):
+        row, exact_t = _RowLanes(rows, n), load(np.float64, found + (n << SHIFT_64))
+        if n >= most:
+            row.bits, most = ZERO_U64, n + ONE_U64
+        row.t[k], row.exact[k] = local_t(exact_t, exact, t_in, t_out), exact_t
+        if row.t[k] >= t_min:
+            row.bits |= ONE_U64 << k
+    return most
+
+
+@device
+def _visit_shape(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: ARG001
+    """Test the shape of a leaf against groups of a packet, ray by ray."""
+    shape, to, frame, has_hit = shape_of(leaves, child), leaf.hits, leaf.frame, False
+    planes = planes_along(*shape_box(shape, frame), (rays.x.back, rays.y.back, rays.z.back))
+    rows, at = scratch(_ROWS_BYTES), scratch(_INTERVAL_BYTES)
+    entering = entering_groups(packet, planes, rays, groups)
+    while entering != ZERO_U64:
+        g = count_trailing_zeros(entering)
+        entering &= entering - ONE_U64
+        group, lanes = Group(packet, g), GroupLanes(packet, g)
+        t_in, t_out = slab_interval(planes, three(group.inv), three(group.near), three(group.far))
+        is_near = (t_in <= group.t_active) & (t_out >= group.t_min)
+        bits, most = mask_bits((t_in <= t_out) & is_near), ZERO_U64
+        store(at, t_in)
+        store(at + _INTERVAL_END, t_out)
+        while bits != ZERO_U64:
+            k = count_trailing_zeros(bits)
+            bits &= bits - ONE_U64
+            exact = _exact_of(leaf.memory, g, k, frame)
+            most = _cross_ray(shape, exact, k, at, lanes.t_min[k], rows, most)
+        for n in range(most):
+            # Most second crossings are behind the first ones, where the nearest hits are wanted.
+            row, places = _Row(rows, n), _RowLanes(rows, n)
+            bits = row.bits & mask_bits(row.t <= group.t_active)
+            taken, number = lanes_from_bits(mask16, bits), np.int32(shape.number + np.int32(n))
+            if bits == ZERO_U64:
+                continue
+            while bits != ZERO_U64:
+                k = count_trailing_zeros(bits)
+                bits &= bits - ONE_U64
+                exact = _exact_of(leaf.memory, g, k, frame)
+                places.u[k], places.v[k] = place_at(shape, exact, places.exact[k])
+            has_hit |= to.kind.keep_lanes(to, packet, g, taken, row.t, row.u, row.v, number)
+    return has_hit
+
+
+@device
+def _three_of(rows, k):
+    """The three numbers of a lane, one per axis."""
+    return rows[ZERO_U64, k], rows[ONE_U64, k], rows[TWO_U64, k]
+
+
 # Height fields
 
 
@@ -188,7 +287,7 @@ def _visit_field(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: 
 @device
 def _load(packet, number, source, scene, memory):
     slow_groups = load_packet(packet, number, source)
-    if scene.sphere_nodes != NULL:
+    if scene.sphere_nodes != NULL or scene.shape_nodes != NULL:
         _load_exact(memory, packet, number, source, slow_groups)
     return slow_groups, source.frame
 
@@ -209,6 +308,11 @@ def _trace(packet, scene, frame, memory, leaf):
         tree = TreeAddresses(scene.sphere_nodes, scene.sphere_blocks)
         spheres = PrimitiveLeaf(_visit_spheres, prefetch_child, leaf, memory, frame)
         trace_packet(packet, GROUPS, tree, most, own, spheres)
+        continue_packet(packet, GROUPS)
+    if scene.shape_nodes != NULL:
+        tree = TreeAddresses(scene.shape_nodes, scene.shapes)
+        shapes = PrimitiveLeaf(_visit_shape, prefetch_child, leaf, memory, frame)
+        trace_packet(packet, GROUPS, tree, most, own, shapes)
 
 
 #: Of the trees of `PrimitiveAddresses`.

@@ -1,8 +1,9 @@
-"""PrimitiveStructure: trees over the triangles, height fields and spheres of a scene."""
+"""PrimitiveStructure: trees over the triangles, height fields, spheres and shapes of a scene."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from raystream.geometry.primitives.records import (
     SPHERES_PER_BLOCK,
     PrimitiveAddresses,
     field_records,
+    shape_leaves,
     sphere_blocks,
 )
 from raystream.geometry.primitives.traversal import (
@@ -26,6 +28,7 @@ from raystream.geometry.primitives.traversal import (
     traverse_all,
     traverse_trees,
 )
+from raystream.geometry.shapes.shape import reach_of
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.base import BuildReport, Nested, Structure
@@ -76,12 +79,15 @@ class PrimitiveStructure(Structure):
         sphere_boxes, own = _sphere_boxes(triangles), part_of(progress, count, total - count, total)
         sphere_nodes, sphere_rows = self._tree_over(sphere_boxes, SPHERES_PER_BLOCK, own)
         first = int(triangles.first_fields[-1])
+        shape_nodes, shape_rows = self._tree_over(_shape_boxes(triangles), 1, None)
         self.arrays = {
             **self._inner.arrays,
             "field_nodes": field_nodes,
             "fields": field_records(*fields, field_rows[:, 0].tolist()),
             "sphere_nodes": sphere_nodes,
             "sphere_blocks": sphere_blocks(triangles.spheres, sphere_rows, first),
+            "shape_nodes": shape_nodes,
+            "shapes": shape_leaves(triangles, shape_rows[:, 0]),
         }
         self.view = self._make_addresses()
         field_bytes = sum(
@@ -99,6 +105,7 @@ class PrimitiveStructure(Structure):
         counts = {
             "field_count": np.uint64(len(memory["fields"])),
             "block_count": np.uint64(len(memory["sphere_blocks"])),
+            "shape_count": np.uint64(len(memory["shapes"])),
         }
         nothing = dict.fromkeys(PrimitiveAddresses._fields, np.uint64(0))
         return PrimitiveAddresses(**{**nothing, **inner, **own, **counts})
@@ -121,10 +128,25 @@ class PrimitiveStructure(Structure):
     def around_calls(
         self, points: NDArray[np.float64], numbers: NDArray[np.float64]
     ) -> Calls | None:
-        """The calls that count spheres around points."""
-        if not len(self.triangles.spheres):
+        """The calls that count spheres and shapes around points."""
+        if not len(self.triangles.spheres) and not self.triangles.shape_count:
             return None
         return count_around, (points, self.view, self.frame, numbers)
+
+    def raise_faults(self) -> None:
+        """See `Structure.raise_faults`."""
+        for one in self.triangles.shapes:
+            one.functions.raise_faults()
+
+    def checked(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """See `Structure.checked`."""
+
+        def call(*arguments: Any) -> Any:
+            found = function(*arguments)
+            self.raise_faults()
+            return found
+
+        return call if self.triangles.shapes else function
 
     @property
     def nested(self) -> Nested:
@@ -143,7 +165,7 @@ class PrimitiveStructure(Structure):
 
 
 #: Arrays besides those of the triangles' structure.
-_OWN = ("field_nodes", "fields", "sphere_nodes", "sphere_blocks")
+_OWN = ("field_nodes", "fields", "sphere_nodes", "sphere_blocks", "shape_nodes", "shapes")
 
 
 class PrimitiveBvh(PrimitiveStructure):
@@ -196,6 +218,15 @@ def _sphere_boxes(primitives: Primitives) -> NDArray[np.float64]:
     radii = (spheres.radii * primitives.scale)[:, None]
     reach = radii + (np.abs(centers) + radii) * _BOX_GROWTH
     return np.stack([centers - reach, centers + reach], axis=1)
+
+
+def _shape_boxes(primitives: Primitives) -> NDArray[np.float64]:
+    boxes = np.concatenate([np.zeros((0, 2, 3)), *(one.bounds for one in primitives.shapes)])
+    low, high = ((boxes - primitives.center) * primitives.scale).swapaxes(0, 1)
+    reach = reach_of((high - low).max(axis=1, initial=0.0), np.abs([low, high]).max(axis=(0, 2)))
+    # Twice as much: they hold the shapes' own boxes however these round.
+    reach = 2.0 * reach[:, None]
+    return np.stack([low - reach, high + reach], axis=1)
 
 
 #: By name.

@@ -1,4 +1,4 @@
-"""Rays through a scene of triangles, height fields and spheres: one search through all of them."""
+"""Rays through triangles, height fields, spheres and shapes: one search through all of them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from raystream.geometry.fields.cells import FIELD_BYTES, traverse_all_cells, traverse_field
 from raystream.geometry.primitives.records import FieldRecord, PrimitiveAddresses, SphereBlock
+from raystream.geometry.shapes.shape import intersect_shape, shape_of
 from raystream.geometry.spheres.sphere import ExactRay, intersect_spheres, load_exact
 from raystream.jit.cpu import device
 from raystream.jit.views import address_of
@@ -16,6 +17,7 @@ from raystream.kernels.queries import RaySearches, note_status, ray_filter, sear
 from raystream.kernels.ray import Ray, prepare_ray
 from raystream.kernels.ray_source import load_ray
 from raystream.kernels.search import begin_search, is_full
+from raystream.kernels.shapes import ShapeRecord
 from raystream.kernels.tally import tally_of
 from raystream.structures.brute.traversal import traverse as traverse_brute
 from raystream.structures.bvh.node_layout import leaf_address
@@ -36,8 +38,8 @@ class RayScene(NamedTuple):
     exact: ExactRay
 
 
-class _SphereTree(NamedTuple):
-    """The spheres' tree with a ray; by the names that `tree_traversal` reads."""
+class _ExactTree(NamedTuple):
+    """A tree of spheres or shapes with a ray; by the names that `tree_traversal` reads."""
 
     nodes: np.uint64
     leaves: np.uint64
@@ -52,17 +54,28 @@ def search_spheres(tree, child, line, search, stack):  # noqa: ARG001
     return intersect_spheres(block, tree.ray, tree.exact, search)
 
 
+@device
+def _search_shape(tree, child, line, search, stack):  # noqa: ARG001
+    return intersect_shape(shape_of(tree.leaves, child), tree.ray, tree.exact, search)
+
+
 _traverse_spheres = device(tree_traversal(search_spheres))
+_traverse_shapes = device(tree_traversal(_search_shape))
 
 
-def trees_traversal(search_triangles, search_spheres, tree_bytes):
-    """Make the traversal of the trees of triangles, of each height field and of spheres, in turn.
+@device
+def _without(tree, ray, search, stack):  # noqa: ARG001
+    return search
+
+
+def trees_traversal(search_triangles, search_spheres, tree_bytes, search_shapes=_without):
+    """Make the traversal of the trees of triangles, height fields, spheres and shapes, in turn.
 
     Parameters
     ----------
-    search_triangles, search_spheres : device function
-        Traversals of a tree, see `kernels.queries.ray_queries`: of the primitives' own, and of one
-        with an `ExactRay`.
+    search_triangles, search_spheres, search_shapes : device function
+        Traversals of a tree, see `kernels.queries.ray_queries`: of the primitives' own, and of
+        those with an `ExactRay` [default: shapes are not searched].
     tree_bytes : uint64
         Their memory, before that of height fields.
     """
@@ -78,14 +91,18 @@ def trees_traversal(search_triangles, search_spheres, tree_bytes):
             search = traverse_field(field, ray, line, search, stack + tree_bytes)
         if is_full(search):
             return search
-        tree = _SphereTree(held.sphere_nodes, held.sphere_blocks, ray, scene.exact)
-        return search_spheres(tree, ray, search, stack)
+        tree = _ExactTree(held.sphere_nodes, held.sphere_blocks, ray, scene.exact)
+        search = search_spheres(tree, ray, search, stack)
+        if is_full(search):
+            return search
+        tree = _ExactTree(held.shape_nodes, held.shapes, ray, scene.exact)
+        return search_shapes(tree, ray, search, stack)
 
     return traverse
 
 
 #: Search the trees of the processor's layout.
-traverse_trees = device(trees_traversal(traverse_bvh, _traverse_spheres, _TREE))
+traverse_trees = device(trees_traversal(traverse_bvh, _traverse_spheres, _TREE, _traverse_shapes))
 
 
 @device
@@ -106,6 +123,10 @@ def traverse_all(scene, ray, search, stack):
             return search
         block = address_of(SphereBlock(held.sphere_blocks, k))
         search = intersect_spheres(block, ray, scene.exact, search)
+    for k in range(held.shape_count):
+        if is_full(search):
+            return search
+        search = intersect_shape(ShapeRecord(held.shapes, k), ray, scene.exact, search)
     return search
 
 

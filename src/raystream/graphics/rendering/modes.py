@@ -129,7 +129,7 @@ def unsupported(context: RenderContext) -> str | None:
     if scene.placements is not None:
         return "instances"
     if scene.has_primitives:
-        return "spheres and height fields"
+        return "spheres, height fields and shapes"
     used = [scene.materials[k] for k in np.unique(scene.attributes.material_ids).tolist()]
     if context.opacity is not None:
         return "surfaces that are not opaque"

@@ -1,8 +1,8 @@
-"""Scene tables of the surfaces that rays hit, where some are spheres or height fields.
+"""Scene tables of the surfaces that rays hit, where some are spheres, shapes or height fields.
 
 As for instances (`placed_tables`), the batch has tables of its own: row i is the triangle that hit
-i has, or for a sphere a triangle in the plane that touches it there. The kernels are the same for
-all scenes.
+i has, or for a sphere or shape a triangle in the plane that touches it there. The kernels are the
+same for all scenes.
 """
 
 from __future__ import annotations
@@ -125,10 +125,10 @@ def primitive_tables(
     """
     count = len(hits.t)
     store: Any = hits._triangles
-    is_sphere, corners = hits.is_on_sphere, store.flat_corners(hits)
+    is_curved, corners = store.is_curved(hits.prim_id), store.flat_corners(hits)
     material_ids = np.maximum(hits.material_id, 0)
     rows = np.where(hits.prim_id >= 0, np.arange(count), -1).astype(np.int32)
-    u, v = (np.where(is_sphere, np.float32(0.0), one) for one in (hits.u, hits.v))
+    u, v = (np.where(is_curved, np.float32(0.0), one) for one in (hits.u, hits.v))
     found = np.flatnonzero((hits.prim_id >= 0) & (hits.prim_id < len(meshes.faces)))
     vertices = meshes.faces[hits.prim_id[found]]
     placed = None if store.instances is None else _Placed.of(store, hits)

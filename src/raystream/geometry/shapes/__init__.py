@@ -1,0 +1,1 @@
+"""Shapes whose geometry users write: where rays and points meet them."""
