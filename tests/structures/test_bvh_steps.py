@@ -14,7 +14,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, scratch
 from raystream.kernels.hits import HitArrays, Sink, hit_addresses
-from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
+from raystream.kernels.leaf_block import BLOCK, PRIM_IDS, block_ray, intersect_block, triangle_count
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import SceneFrame, prepare_ray
 from raystream.kernels.search import Search, SearchGoal, begin_search, is_full, sort_hits, wants_any
@@ -125,7 +125,7 @@ def run_pass(
             stage = _POP
         else:
             block = states.block[i]
-            add_to(tally, TESTS, triangle_count(block))
+            add_to(tally, TESTS, triangle_count(block + PRIM_IDS))
             count, to = states.count[i], rows_of(out)
             search = Search(
                 t_min, t_far, count, SearchGoal(capacity, to, first, surfaces), tally, None, None

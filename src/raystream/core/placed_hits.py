@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.core.float64_triangles import float64_offset
 from raystream.core.instances import Instances, moved
-from raystream.core.primitives import PrimitiveStore
+from raystream.core.primitive_store import PrimitiveStore
 from raystream.core.spawn import WORLD_UNIT, side_of
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ class PlacedHits(PrimitiveStore):
     def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
         """See `Store.local_corners`."""
         prim_id, instance_id = self.ids_of(numbers.astype(np.int32))
+        assert instance_id is not None
         corners = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
         return (corners - self.center) * self.scale
 
