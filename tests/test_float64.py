@@ -456,11 +456,10 @@ def test_what_is_not_supported_is_named(options, message):
         rs.Tracer(rs.load("cornell"), **({"precision": "float64"} | options))
 
 
-def test_queries_that_are_not_supported_are_named():
-    tracer = rs.Tracer(rs.load("cornell"), precision="float64")
-    for call in (lambda: tracer.first_hit([0.0, 0.0, 0.0], [0.0, 0.0, 1.0], mask=1),):
-        with pytest.raises(rs.RaystreamError, match="not supported with precision='float64'"):
-            call()
-    placed = rs.Scene.instances([rs.load("cornell")], np.eye(3, 4)[None], [0])
-    with pytest.raises(rs.RaystreamError, match="precision='float64': not supported in a scene"):
-        rs.Tracer(placed, precision="float64")
+def test_kinds_that_are_not_supported_are_named():
+    ball = rs.Scene.spheres([[0.0, 0.0, 0.0]], 1.0)
+    for scene in (ball, rs.Scene.combine([rs.load("cornell"), ball])):
+        with pytest.raises(
+            rs.RaystreamError, match="precision='float64': not supported in a scene"
+        ):
+            rs.Tracer(scene, precision="float64")
