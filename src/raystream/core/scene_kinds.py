@@ -41,6 +41,10 @@ _ONE_WORLD = (*_ONE, *_BOTH, "placed float64")
 # Why a kind of scene lacks a feature.
 _SETS = "worlds are sets of instances"
 _DEVICE = "its traversal on the device finds triangles in instances"
+_NEAREST = (
+    "its search in an object is of triangles in float32; the closest points of ellipsoids have no "
+    "closed form"
+)
 
 
 class Feature(NamedTuple):
@@ -113,7 +117,9 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "cutouts=True, with surfaces that are not opaque": Feature(_ALL, "cut-outs in analyses"),
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
         "view_factors": Feature(_ONE_WORLD, "`view_factors`"),
-        "closest points": Feature(_ALL, "`closest_point`, `signed_distance`"),
+        "closest points": Feature(
+            (*_ONE, "worlds"), "`closest_point`, `signed_distance`", _NEAREST
+        ),
         "inside tests": Feature(
             _ALL,
             "`contains`",
