@@ -35,11 +35,21 @@ def _primitives(rng: np.random.Generator) -> rs.Scene:
     )
 
 
+def _placed(rng: np.random.Generator) -> rs.Scene:
+    """Instances of meshes beside those of spheres and height fields."""
+    objects = [rs.Scene.from_arrays(*icosphere(1)), _primitives(rng)]
+    objects.append(rs.Scene.spheres(rng.uniform(-2, 2, (9, 3)), rng.uniform(0.2, 0.9, 9)))
+    transforms = random_transforms(rng, 9, 2.0)
+    return rs.Scene.instances(objects, transforms, np.arange(9) % 3)
+
+
 #: Scenes by kind, and the precision.
 KINDS: dict[str, tuple[Callable[[np.random.Generator], rs.Scene], str]] = {
     "instances": (_instances, "float32"),
     "primitives": (_primitives, "float32"),
     "float64": (lambda _: rs.Scene.from_arrays(*icosphere(2)), "float64"),
+    "instances of primitives": (_placed, "float32"),
+    "instances in float64": (_instances, "float64"),
 }
 
 
@@ -71,13 +81,17 @@ def _outputs(tracer: rs.Tracer, hits: Any, origins: Any, directions: Any, vertic
     spheres = store.sphere_rows(hits.prim_id)
     fields = np.flatnonzero((hits.prim_id >= 0) & ~is_mesh & (spheres < 0))
     if len(fields):
-        ids = hits.prim_id[fields]
-        corners[fields] = store.to_world(store.corners_at(ids, ids))
+        ids, places = hits.prim_id[fields], hits.instance_id[fields]
+        corners[fields] = store.points_to_world(store.corners_at(ids, places), places)
     flat = np.concatenate([rows, fields])
     found[flat] = crossing(origins[flat], directions[flat], corners[flat])
     round_ones = np.flatnonzero(spheres >= 0)
     if len(round_ones):
-        o, d = origins[round_ones], directions[round_ones]
+        world = o, d = origins[round_ones], directions[round_ones]
+        if scene.placements is not None:
+            back = scene.placements.inverses[hits.instance_id[round_ones]]
+            o, d = (np.einsum("nij,nj->ni", back[:, :, :3], one) for one in world)
+            o += back[:, :, 3]
         centers = store.spheres.centers[spheres[round_ones]]
         radii = store.spheres.radii[spheres[round_ones]]
         squared, half = (d * d).sum(1), ((o - centers) * d).sum(1)
@@ -86,8 +100,8 @@ def _outputs(tracer: rs.Tracer, hits: Any, origins: Any, directions: Any, vertic
         sides = np.stack([(-half - root) / squared, (-half + root) / squared])
         side = np.abs(sides - hits.t[round_ones]).argmin(axis=0)
         t = np.take_along_axis(sides, side[None], axis=0)[0]
-        points = o + t[:, None] * d
-        u, v = numbers_toward(points - centers)
+        u, v = numbers_toward(o + t[:, None] * d - centers)
+        points = world[0] + t[:, None] * world[1]
         found[round_ones] = np.column_stack([t, u, v, points])
     return found
 
@@ -108,13 +122,14 @@ def check_slopes_of_kind(kind: str, slopes: Callable[..., Any]) -> None:
     vertices = np.concatenate([one.vertices for one in tracer.scene.meshes]).astype(float)
     hits, rng = tracer.first_hit(origins, directions), np.random.default_rng(7)
     assert 0.4 < hits.is_hit.mean() < 1.0
-    if kind == "primitives":
-        assert len(np.unique(hits.mesh_id[hits.is_hit])) == 3
+    if "primitives" in kind:
+        assert len(np.unique(hits.mesh_id[hits.is_hit])) >= 3
 
     # Grazing rays have large derivatives, and rays near the folds of a sphere's u and v have
     # others on both sides.
     is_steep = np.abs(np.einsum("ij,ij->i", hits.normals, directions)) > 0.3
-    is_plain = (np.abs(hits.normals) > 0.01).all(axis=1)
+    held: Any = tracer.structure.triangles
+    is_plain = np.abs([hits.normals, held.local_normals(hits)]).min(axis=(0, 2)) > 0.01
     is_sound = hits.is_hit & is_steep & is_plain
     assert is_sound.sum() > 80
     for k in range(6):

@@ -103,7 +103,7 @@ def unpack_tracer(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]])
     scene = unpack_scene(header["scene"], arrays) if "scene" in header else None
     try:
         if scene is not None and kinds:
-            store = triangles_of(scene, "float64" if "float64" in kinds else "float32")
+            store = triangles_of(scene, "float64" if "float64" in " ".join(kinds) else "float32")
         else:
             store = store_of(kinds, part_of(arrays, "triangles"))
     except ValueError as error:

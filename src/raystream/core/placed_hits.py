@@ -52,6 +52,12 @@ class PlacedHits(PrimitiveStore):
         places = self.parts[k, self.parts_of(prim_id)]
         return (prim_id - places[:, 1] + places[:, 0]).astype(np.int32)
 
+    def prims_of(self, k: int, own: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The prim_ids in the scene of those in object k."""
+        part = (own >= self.parts[k, 1, 0]).astype(np.int64) + (own >= self.parts[k, 2, 0])
+        places = self.parts[k, part]
+        return (own - places[:, 0] + places[:, 1]).astype(np.int32)
+
     def corners_at(
         self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
     ) -> NDArray[np.float64]:
@@ -130,16 +136,29 @@ class PlacedHits(PrimitiveStore):
         """Origins of rays that leave hits, world space; see `Hits.spawn`."""
         if self.number_type is np.float64:
             return self._spawned_in_float64(hits, directions)
-        origins = super().spawned(hits, directions)
-        is_sphere, rows, normals = self._on_spheres(hits)
-        if len(rows):
-            ids = hits.instance_id[is_sphere]
-            scales = np.array([one.scale for one in self.objects])
-            far = self.reaches_at(ids)[1] / scales[self.instances.object_ids[ids]]
-            own = self.directions_to_local(directions[is_sphere], ids)
-            points, matrices = self.beside(rows, normals, own, far), self.instances.transforms[ids]
-            origins[is_sphere] = moved(matrices, points)
-        return origins
+        return super().spawned(hits, directions)
+
+    def beside(
+        self,
+        rows: NDArray[np.int64],
+        normals: NDArray[np.float64],
+        directions: NDArray[Any],
+        instance_id: NDArray[np.int32],
+    ) -> NDArray[np.float64]:
+        """See `PrimitiveStore.beside`."""
+        far = self.reaches_at(instance_id)[1] / self.scales_at(instance_id)
+        own = self.directions_to_local(directions, instance_id)
+        return moved(self.instances.transforms[instance_id], self._beside(rows, normals, own, far))
+
+    def scales_at(self, instance_id: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Local units of instances' objects per unit of their spaces."""
+        scales = np.array([float(one.scale) for one in self.objects])
+        return scales[self.instances.object_ids[instance_id]]
+
+    def corner_scales(self, instance_id: NDArray[np.int32]) -> NDArray[np.float64]:
+        """The same per unit of `corners_at` and `local_positions`: in float64 not local ones."""
+        scales = self.scales_at(instance_id)
+        return scales if self.number_type is np.float64 else np.ones_like(scales)
 
     def points_to_world(
         self, points: NDArray[np.float64], instance_id: NDArray[np.int32]
@@ -212,8 +231,7 @@ class PlacedHits(PrimitiveStore):
         ids = hits.instance_id
         positions, normals = self.local_positions(hits), self.local_normals(hits)
         corners = self.corners_at(hits.prim_id, ids)
-        scales = np.array([one.scale for one in self.objects])[self.instances.object_ids[ids]]
-        far = WORLD_UNIT * self.reaches_at(ids)[1] / scales
+        far = WORLD_UNIT * self.reaches_at(ids)[1] / self.scales_at(ids)
         offset = float64_offset(corners) + far
         side = side_of(normals, self.directions_to_local(directions, ids))
         return self.points_to_world(positions + (side * offset)[..., None] * normals, ids)
@@ -223,8 +241,7 @@ class PlacedHits(PrimitiveStore):
     ) -> NDArray[np.float64]:
         """See `Store.world_lengths`."""
         longest = np.linalg.norm(self.instances.transforms[instance_id, :, :3], axis=(-2, -1))
-        scales = np.array([one.scale for one in self.objects])
-        return longest * lengths / scales[self.instances.object_ids[instance_id]]
+        return longest * lengths / self.scales_at(instance_id)
 
     def _by_object(self, instance_id: NDArray[np.int32]) -> list[tuple[int, NDArray[np.int64]]]:
         """The objects that are hit, and the rows of the hits of each, in the flattened array."""

@@ -52,18 +52,39 @@ class PrimitiveStore(Store):
         is_sphere = rows >= 0
         return is_sphere, rows[is_sphere], directions_at(hits.u[is_sphere], hits.v[is_sphere])
 
+    def spawned(self, hits: HitColumns, directions: NDArray[Any]) -> NDArray[np.float64]:
+        """Origins of rays that leave hits, world space; see `Hits.spawn`.
+
+        A ray into a sphere does not meet the point that it leaves, but the sphere's other side.
+        """
+        origins = super().spawned(hits, directions)
+        is_sphere, rows, normals = self._on_spheres(hits)
+        ids = hits.instance_id[is_sphere]
+        origins[is_sphere] = self.beside(rows, normals, directions[is_sphere], ids)
+        return origins
+
     def beside(
         self,
         rows: NDArray[np.int64],
         normals: NDArray[np.float64],
         directions: NDArray[Any],
-        far: Any = 0.0,
+        instance_id: NDArray[np.int32],  # noqa: ARG002
     ) -> NDArray[np.float64]:
         """Points beside spheres, shape (N, 3), on the sides that directions point to.
 
-        `normals` are of the points on the spheres; `far` is the length of the other numbers that
-        rays' origins are rounded at.
+        `normals` are those of the spheres themselves, also in instances; the rest is in world
+        space.
         """
+        return self._beside(rows, normals, directions, 0.0)
+
+    def _beside(
+        self,
+        rows: NDArray[np.int64],
+        normals: NDArray[np.float64],
+        directions: NDArray[Any],
+        far: Any,
+    ) -> NDArray[np.float64]:
+        """The same among the spheres; `far`: what else rays' origins are rounded at."""
         centers, radii = self.spheres.centers[rows], self.spheres.radii[rows]
         side = np.einsum("ij,ij->i", normals, directions)
         side = np.where(side >= 0.0, 1.0, -1.0)

@@ -51,6 +51,10 @@ _AREAS = "areas of shapes are not known"
 _SLOPES = "functions of users have no derivatives"
 _INSIDE = "what functions of users do cannot be shown"
 _CODE = "functions of users are not sent to other machines"
+_NEAREST = (
+    "its search in an object is of triangles in float32; the closest points of ellipsoids have no "
+    "closed form"
+)
 
 
 class Feature(NamedTuple):
@@ -127,7 +131,10 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "visible_faces": Feature(_ONE_WORLD, "`visible_faces`"),
         "view_factors": Feature(_NO_SHAPES, "`view_factors`", _AREAS),
         "closest points": Feature(
-            _WITH_DISTANCE, "`closest_point`, `signed_distance`", notes=_DISTANCE
+            (*_ONE, "worlds", "shapes"),
+            "`closest_point`, `signed_distance`",
+            _NEAREST,
+            notes=_DISTANCE,
         ),
         "inside tests": Feature(
             _WITH_DISTANCE,

@@ -27,7 +27,10 @@ WORLD_UNIT = 2.0**-50
 
 
 def plane_offset(
-    size: NDArray[np.float64], reach: NDArray[np.float64], reaches: tuple[Any, Any]
+    size: NDArray[np.float64],
+    reach: NDArray[np.float64],
+    reaches: tuple[Any, Any],
+    unit: float = UNIT,
 ) -> NDArray[np.float64]:
     """How far from a triangle's plane rays must start or end to miss it.
 
@@ -39,6 +42,8 @@ def plane_offset(
         Largest absolute coordinate of the point on it.
     reaches : tuple of two float, or ndarray of shape (...)
         See `Store.reaches_at`.
+    unit : float
+        Rounding of the tests, relative.
 
     Notes
     -----
@@ -47,7 +52,7 @@ def plane_offset(
     finds the plane at t < 0.
     """
     extent, far = reaches
-    offset: NDArray[np.float64] = UNIT * np.minimum(
+    offset: NDArray[np.float64] = unit * np.minimum(
         EXTENT_UNITS * size + REACH_UNITS * reach,
         MOST_UNITS * (extent + reach),
     )

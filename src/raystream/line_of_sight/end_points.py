@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from raystream.core.hits import Hits
 from raystream.core.rays import as_integers, as_real_array
 from raystream.core.scene_kinds import check_support
-from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
+from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, WORLD_UNIT
 from raystream.core.store import Store
 from raystream.core.triangles import MAX_COORDINATE
-from raystream.line_of_sight.placed_ends import FAR_UNITS, PlacedPlanes, placed_planes
+from raystream.line_of_sight.placed_ends import FAR_UNITS, PlacedPlanes, placed_planes, unit_of
 from raystream.programs.filters import Bound
 from raystream.tracer import Tracer
 
@@ -109,12 +109,7 @@ def leaving_distance(
     """
     units = EXTENT_UNITS * extents + REACH_UNITS * reach
     most = MOST_UNITS * (float(triangles.max_coordinate) + reach)
-    return _unit_of(triangles) * np.minimum(units, most) + _world_rounding(triangles)
-
-
-def _unit_of(triangles: Store) -> float:
-    """Rounding of the tests of triangles, relative: as in `core.spawn`, or in float64."""
-    return UNIT if triangles.number_type is np.float32 else WORLD_UNIT
+    return unit_of(triangles) * np.minimum(units, most) + _world_rounding(triangles)
 
 
 def _world_rounding(triangles: Store) -> float:
@@ -238,7 +233,7 @@ def is_clear(
                 units = FAR_UNITS * (length + stops.extents)
                 nearer = np.minimum(starts.reach, stops.reach + length)
                 units += REACH_UNITS * (nearer + stops.reach)
-                distance = (_unit_of(frame) * units + _world_rounding(frame)) / frame.scale
+                distance = (unit_of(frame) * units + _world_rounding(frame)) / frame.scale
                 side = _side(stops.normals, -delta, distance, front_only, clear)
                 directions = directions + (side * distance)[..., None] * stops.normals
             else:

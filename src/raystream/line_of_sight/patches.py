@@ -20,6 +20,9 @@ from raystream.line_of_sight.placed_ends import leaving_heights
 #: so that rays do not start behind a neighbour at an angle of 10 degrees or more.
 _CLEARANCE = 8.0
 
+#: Singular values of transforms that keep spheres as they are differ by less, relative.
+_EVEN = 2.0**-40
+
 #: Sample numbers are multiples of 2**-24; this moves them to the middle of their intervals.
 _HALF_STEP = 2.0**-25
 
@@ -56,11 +59,15 @@ class Patches(NamedTuple):
 def patch_ids(values: Any, triangles: Store) -> NDArray[np.int64]:
     """Read the patch of each triangle, by default its mesh or instance; see `view_factors`."""
     placed: Any = triangles
-    count = len(triangles) if triangles.instances is None else triangles.number_count
     if values is None:
         splits = triangles.mesh_splits if triangles.instances is None else placed.first_ids
         return np.repeat(np.arange(len(splits) - 1), np.diff(splits))
-    ids = as_integers("patches", values)
+    # Spheres of instances have two numbers, and a patch at the first.
+    size = len(triangles) if triangles.instances is None else triangles.number_count
+    numbers = np.arange(size, dtype=np.int32)
+    if triangles.instances is not None and triangles.has_primitives:
+        numbers = numbers[triangles.numbers_of(*placed.split_ids(numbers)) == numbers]
+    count, ids = len(numbers), as_integers("patches", values)
     if ids.shape != (count,):
         raise ValueError(
             f"patches: expected one for each triangle, shape ({count},), got {ids.shape}"
@@ -68,7 +75,9 @@ def patch_ids(values: Any, triangles: Store) -> NDArray[np.int64]:
     if count and not (ids.min() >= -1 and ids.max() < count):
         wrong = ids.min() if ids.min() < -1 else ids.max()
         raise ValueError(f"patches: expected -1 to {count - 1:,}, got {wrong}")
-    return ids.astype(np.int64)
+    found = np.full(size, -1)
+    found[numbers] = ids
+    return found
 
 
 def make_patches(ids: NDArray[np.int64], triangles: Store) -> Patches:
@@ -86,9 +95,7 @@ def make_patches(ids: NDArray[np.int64], triangles: Store) -> Patches:
         normals *= triangles.instances.sides[instance_ids, None]
     rows = triangles.sphere_rows(prim_ids)
     if triangles.has_primitives:
-        store: Any = triangles
-        radii = store.spheres.radii[rows[rows >= 0]] * store.scale
-        areas[rows >= 0] = 4.0 * np.pi * radii**2
+        areas[rows >= 0] = _sphere_areas(triangles, rows, instance_ids)
     is_used = np.zeros(len(ids), bool)
     is_used[triangles.face_numbers()] = True
     is_used &= (ids >= 0) & (areas > 0.0)
@@ -107,6 +114,34 @@ def make_patches(ids: NDArray[np.int64], triangles: Store) -> Patches:
     shares[splits[1:] - 1] = 1.0
     areas = totals / triangles.scale**2
     return Patches(ids, numbers, splits, shares, areas, normals, triangles)
+
+
+def _sphere_areas(
+    triangles: Any, rows: NDArray[np.int64], instance_ids: NDArray[np.int32] | None
+) -> NDArray[np.float64]:
+    """Areas of spheres, scene's local frame; in instances the most that they may be stretched to.
+
+    `rows` are the spheres of some numbers, -1 of others.
+    """
+    is_sphere = rows >= 0
+    areas = 4.0 * np.pi * (triangles.spheres.radii[rows[is_sphere]] * triangles.scale) ** 2
+    if instance_ids is not None:
+        areas = areas * _most_stretch(triangles)[instance_ids[is_sphere]]
+    return np.asarray(areas)
+
+
+def _most_stretch(triangles: Any) -> NDArray[np.float64]:
+    """How much instances' transforms enlarge areas, at most."""
+    sizes = np.linalg.svd(triangles.instances.transforms[:, :, :3], compute_uv=False)
+    return np.asarray(sizes[:, 0] * sizes[:, 1])
+
+
+def makes_ellipsoids(triangles: Store) -> bool:
+    """Whether an instance may make ellipsoids of spheres."""
+    if triangles.instances is None or not triangles.has_primitives:
+        return False
+    sizes = np.linalg.svd(triangles.instances.transforms[:, :, :3], compute_uv=False)
+    return bool((sizes[:, 2] < (1.0 - _EVEN) * sizes[:, 0]).any())
 
 
 class Emitter:
@@ -134,30 +169,33 @@ class Emitter:
 
         Parameters
         ----------
-        numbers : ndarray of shape (n, 4), float32
-            In [0, 1): two for the point, two for the direction.
+        numbers : ndarray of shape (n, 4) or (n, 5), float32
+            In [0, 1): two for the point, two for the direction; and one to choose points of
+            ellipsoids by, if there are any.
 
         Returns
         -------
         origins, directions : ndarray of shape (n, 3), float64
-            World space; unit length. NaN where the point is cut out.
+            World space; unit length. NaN where the point is cut out, or not chosen.
         """
-        x, y, p, q = numbers.T.astype(np.float64) + _HALF_STEP
+        x, y, p, q, *choice = numbers.T.astype(np.float64) + _HALF_STEP
         shares = self._shares
         chosen = np.minimum(np.searchsorted(shares, x, side="right"), len(shares) - 1)
         low = self._lows[chosen]
         width = np.maximum(shares[chosen] - low, np.finfo(float).tiny)
         x = np.clip((x - low) / width, 0.0, 1.0)  # the rest of the number, uniform again
         first, along_u, along_v, normal, tangent, inset, distance = self._triangles(chosen)
-        prim_ids, _ = self._patches.triangles.ids_of(self._numbers[chosen].astype(np.int32))
-        rows = self._patches.triangles.sphere_rows(prim_ids)
+        store: Any = self._patches.triangles
+        prim_ids, instance_ids = store.ids_of(self._numbers[chosen].astype(np.int32))
+        rows = store.sphere_rows(prim_ids)
         is_sphere = rows >= 0
         if is_sphere.any():
-            normal[is_sphere], tangent[is_sphere] = _around(x[is_sphere], y[is_sphere])
+            outward, along = _around(x[is_sphere], y[is_sphere])
+            ids = rows[is_sphere] if instance_ids is None else instance_ids[is_sphere]
+            normal[is_sphere], tangent[is_sphere], share = _stretched(store, outward, along, ids)
 
         root = np.sqrt(x)
         keep = 1.0 - inset
-        outward = normal
         u = 1.0 / 3.0 + (y * root - 1.0 / 3.0) * keep
         v = 1.0 / 3.0 + (root - y * root - 1.0 / 3.0) * keep
         if self._two_sided:
@@ -174,11 +212,12 @@ class Emitter:
         directions += np.sqrt(1.0 - p)[:, None] * normal
         if self._opacity:
             directions[~self._opacity.at(prim_ids, u, v)] = np.nan
-        origins = self._patches.triangles.to_world(origins)
+        origins = store.to_world(origins)
         if is_sphere.any():
-            store: Any = self._patches.triangles
-            around = rows[is_sphere], outward[is_sphere], normal[is_sphere]
-            origins[is_sphere] = store.beside(*around)
+            origins[is_sphere] = store.beside(rows[is_sphere], outward, normal[is_sphere], ids)
+            if choice:
+                is_left = np.flatnonzero(is_sphere)[choice[0][is_sphere] > share]
+                directions[is_left] = np.nan
         return origins, directions
 
     def _triangles(self, chosen: NDArray[np.intp]) -> _TriangleTable:
@@ -210,6 +249,28 @@ def _around(
     sine, turn = 2.0 * np.sqrt(x * (1.0 - x)), 2.0 * np.pi * y
     normals = np.stack([sine * np.cos(turn), sine * np.sin(turn), 1.0 - 2.0 * x], axis=1)
     return normals, np.stack([-np.sin(turn), np.cos(turn), np.zeros_like(turn)], axis=1)
+
+
+def _stretched(
+    triangles: Any,
+    outward: NDArray[np.float64],
+    along: NDArray[np.float64],
+    instance_ids: NDArray[np.int32],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Unit normals and tangents of spheres' points in world space; and how dense points are there.
+
+    Points that are even on spheres are even on ellipsoids if they are kept with this probability.
+    """
+    if triangles.instances is None:
+        return outward, along, np.ones(len(outward))
+    linear = triangles.instances.transforms[instance_ids, :, :3]
+    normals = triangles.normals_to_world(outward, instance_ids)
+    tangents = np.einsum("nij,nj->ni", linear, along)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    # What a sphere's area at the normal n becomes: |det(L) inverse(L).T n|.
+    turned = np.einsum("nji,nj->ni", triangles.instances.inverses[instance_ids, :, :3], outward)
+    stretch = np.abs(np.linalg.det(linear)) * np.linalg.norm(turned, axis=1)
+    return normals, tangents, stretch / _most_stretch(triangles)[instance_ids]
 
 
 def _triangle_table(patches: Patches, numbers: NDArray[np.int64]) -> _TriangleTable:

@@ -15,11 +15,17 @@ from numpy.typing import NDArray
 from raystream.core.hits import Hits
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.spawn import REACH_UNITS, UNIT, WORLD_UNIT, plane_offset, size_of
+from raystream.core.store import Store
 
 #: At a segment's far end rounding in the triangle test acts as if each vertex moved by at most
 #: about 6 units of its distance from the ray's origin (see `core.spawn`); and the direction is
 #: rounded, too, by half a unit of that distance in each coordinate.
 FAR_UNITS = 10.0
+
+
+def unit_of(triangles: Store) -> float:
+    """Rounding of the tests of triangles, relative: as in `core.spawn`, or in float64."""
+    return UNIT if triangles.number_type is np.float32 else WORLD_UNIT
 
 
 class PlacedPlanes(NamedTuple):
@@ -36,6 +42,8 @@ class PlacedPlanes(NamedTuple):
     near, far : ndarray of shape S, float64
         Local units that a segment keeps from the plane where it starts; and where it ends, without
         what grows with its length.
+    unit : ndarray of shape S, float64
+        Rounding of the tests, relative.
     """
 
     step: NDArray[np.float64]
@@ -43,6 +51,7 @@ class PlacedPlanes(NamedTuple):
     inverse: NDArray[np.float64]
     near: NDArray[np.float64]
     far: NDArray[np.float64]
+    unit: NDArray[np.float64]
 
     def at(self, index: Any) -> PlacedPlanes:
         """Pick points by an index into their shape."""
@@ -62,7 +71,7 @@ class PlacedPlanes(NamedTuple):
         for k in range(3):
             row = inverse[..., k, :]
             length = np.maximum(length, np.abs(row[..., 0] * x + row[..., 1] * y + row[..., 2] * z))
-        return self.far + UNIT * (FAR_UNITS + REACH_UNITS) * length
+        return self.far + self.unit * (FAR_UNITS + REACH_UNITS) * length
 
 
 def leaving_heights(
@@ -71,15 +80,14 @@ def leaving_heights(
     """World distances from triangles' planes, with these normals, at which rays leave them."""
     prim_id, instance_id = triangles.split_ids(numbers.astype(np.int32))
     corners = triangles.corners_at(prim_id, instance_id)
+    corners *= triangles.corner_scales(instance_id)[:, None, None]
     reach = np.abs(corners).max(axis=(1, 2), initial=0.0)
-    near = plane_offset(size_of(corners), reach, triangles.reaches_at(instance_id))
+    reaches = triangles.reaches_at(instance_id)
+    near = plane_offset(size_of(corners), reach, reaches, unit_of(triangles))
     # A unit along the object's normal is this far from the plane in world space.
     linear = triangles.instances.transforms[instance_id, :, :3]
     height = np.linalg.norm(np.einsum("nij,ni->nj", linear, normals), axis=1)
-    scales = np.array([float(one.scale) for one in triangles.objects])
-    heights: NDArray[np.float64] = (
-        near * height / scales[triangles.instances.object_ids[instance_id]]
-    )
+    heights: NDArray[np.float64] = near * height / triangles.scales_at(instance_id)
     return heights
 
 
@@ -87,7 +95,7 @@ def placed_planes(hits: Hits, triangles: InstancedTriangles) -> PlacedPlanes:
     """The planes of hits of shape (N,)."""
     count = len(hits.prim_id)
     found = PlacedPlanes(
-        np.zeros((count, 3)), np.zeros(count), np.zeros((count, 3, 3)), *np.zeros((2, count))
+        np.zeros((count, 3)), np.zeros(count), np.zeros((count, 3, 3)), *np.zeros((3, count))
     )
     rows = np.flatnonzero(hits.is_hit)
     if len(rows) == 0:
@@ -96,17 +104,17 @@ def placed_planes(hits: Hits, triangles: InstancedTriangles) -> PlacedPlanes:
     ids = some.instance_id
     extents = triangles.local_sizes(some)
     normals = triangles.local_normals(some)
-    reach = np.abs(triangles.local_positions(some)).max(axis=-1)
+    reach = np.abs(triangles.local_positions(some)).max(axis=-1) * triangles.corner_scales(ids)
     most, world = triangles.reaches_at(ids)
-    scales = np.array([float(one.scale) for one in triangles.objects])
-    scale = scales[instances.object_ids[ids]]
+    scale, unit = triangles.scales_at(ids), unit_of(triangles)
     found.step[rows] = np.einsum(
         "nij,nj->ni", instances.transforms[ids, :, :3], normals / scale[:, None]
     )
     found.height[rows] = np.abs(np.einsum("nk,nk->n", found.step[rows], some._world_normals()))
     found.inverse[rows] = instances.inverses[ids, :, :3] * scale[:, None, None]
-    found.near[rows] = plane_offset(extents, reach, (most, world))
+    found.near[rows] = plane_offset(extents, reach, (most, world), unit)
     # The start is no farther from the object's origin than the end and the length together.
     units = FAR_UNITS * extents + 2.0 * REACH_UNITS * reach
-    found.far[rows] = UNIT * units + WORLD_UNIT * world
+    found.far[rows] = unit * units + WORLD_UNIT * world
+    found.unit[rows] = unit
     return found

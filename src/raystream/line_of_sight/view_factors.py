@@ -9,11 +9,19 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.hits import Hits
+from raystream.core.instances import moved
 from raystream.core.memory import check_memory
 from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.balance import Shares, balanced
-from raystream.line_of_sight.patches import Emitter, Patches, make_patches, patch_ids
+from raystream.line_of_sight.patches import (
+    Emitter,
+    Patches,
+    make_patches,
+    makes_ellipsoids,
+    patch_ids,
+)
 from raystream.programs.cutouts import cutouts_of
 from raystream.rendering.sampling.sampler import MAX_SAMPLES, Sampler
 from raystream.scene.scene import Scene
@@ -91,8 +99,9 @@ def view_factors(
         A scene is traced with ``structure="bvh"`` on the CPU.
     patches : array_like of shape (F,), int, optional
         The patch of each triangle or sphere, by prim_id: 0 to N - 1, or -1 for those that only
-        block. In a scene with instances, of each triangle of the first one, then of the next, and
-        so on [default: each mesh is a patch, as in ``mesh_id``; or each instance].
+        block. In a scene with instances, of each triangle and sphere of the first one, then of
+        the next, and so on; in each, meshes come first, then height fields, then spheres
+        [default: each mesh is a patch, as in ``mesh_id``; or each instance].
     rays : int
         Rays from each patch, at least 16; rounded up to 16 times a power of two.
     target_error : float, optional
@@ -146,6 +155,9 @@ def view_factors(
     away from the edges of their triangle: they do not leave a closed enclosure through a corner of
     10 degrees or more.
 
+    On spheres that instances stretch, points are chosen among those of the spheres. `areas` of
+    their patches are estimated, as are those of patches with cut-outs.
+
     With `reciprocity`, the two estimates of each exchange are averaged, weighted by their inverse
     variances, and then changed, as far as their variances allow, until rows sum to 1; factors that
     would be negative become 0, and those for which no ray was found from either side stay 0. The
@@ -183,7 +195,9 @@ def view_factors(
     matrices = _BALANCED_MATRICES if reciprocity else _MATRICES
     check_memory(8 * matrices * count**2, f"view_factors: {count:,} x {count:,} factors would")
     opacity = cutouts_of(tracer, cutouts)
-    caster = _Caster(tracer, make_patches(ids, triangles), sampler, bool(two_sided), opacity)
+    patches_made = make_patches(ids, triangles)
+    number_count = 5 if makes_ellipsoids(triangles) else 4
+    caster = _Caster(tracer, patches_made, sampler, bool(two_sided), opacity, number_count)
     areas = caster.patches.areas.copy()
     shares = Shares(*(np.empty((count, width)) for width in (count, count, 2, 2)))
     ray_counts = np.zeros(count, np.int64)
@@ -234,6 +248,7 @@ class _Caster(NamedTuple):
     sampler: Sampler
     two_sided: bool
     opacity: Any
+    number_count: int
 
     def row(
         self, patch: int, samples: int, most: int, target: float
@@ -272,7 +287,7 @@ class _Caster(NamedTuple):
                 numbers = self.sampler.numbers(
                     np.repeat(streams % 2**32, end - begin),
                     np.tile(np.arange(begin, end), REPLICATES),
-                    count=4,
+                    count=self.number_count,
                 )
                 found, cast_now = self._count(emitter.rays(numbers), width)
                 counts += found
@@ -311,24 +326,24 @@ class _Caster(NamedTuple):
         if not self.two_sided:
             facing = np.einsum("nk,nk->n", self.patches.normals[hit], rays[1][rows]) < 0.0
             if triangles.has_primitives:
-                facing |= _is_outside(triangles, hit, rays[0][rows])
+                facing |= _is_outside(triangles, hits[rows], rays[0][rows])
             found = np.where(facing, found, -1)
         target = np.full(len(numbers), width - 2)
         target[rows] = np.where(found < 0, width - 1, found)
         replicates = np.arange(len(numbers)) // (len(numbers) // REPLICATES)
-        is_cast = ~np.isnan(rays[1][:, 0]) if self.opacity else np.ones(len(numbers), bool)
+        is_cast = ~np.isnan(rays[1][:, 0])
         cells = (replicates * width + target)[is_cast]
         bins = np.bincount(cells, minlength=REPLICATES * width).reshape(REPLICATES, width)
         return bins, bins.sum(axis=1)
 
 
-def _is_outside(
-    triangles: Any, numbers: NDArray[np.int32], origins: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _is_outside(triangles: Any, hits: Hits, origins: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether rays that start here and meet a sphere first meet its outside."""
-    rows = triangles.sphere_rows(numbers)
+    rows = triangles.sphere_rows(hits.prim_id)
     outside = rows >= 0
-    spheres, some = triangles.spheres, rows[outside]
-    distances = np.linalg.norm(origins[outside] - spheres.centers[some], axis=1)
+    spheres, some, starts = triangles.spheres, rows[outside], origins[outside]
+    if triangles.instances is not None:
+        starts = moved(triangles.instances.inverses[hits.instance_id[outside]], starts)
+    distances = np.linalg.norm(starts - spheres.centers[some], axis=1)
     outside[outside] = distances > spheres.radii[some]
     return outside

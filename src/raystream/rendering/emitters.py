@@ -108,9 +108,9 @@ def _placed(
     mirrored = np.linalg.det(linear) < 0.0
     corners[mirrored] = corners[mirrored][:, [0, 2, 1]]
     # The triangle test's rounding in object space, as long as it may be in the scene.
-    scales = np.array([float(one.scale) for one in triangles.objects])
     stretch = np.linalg.norm(linear, axis=(1, 2)) * triangles.scale
-    stretch /= scales[triangles.instances.object_ids[instance_ids]]
+    stretch /= triangles.scales_at(instance_ids)
+    inside = inside * triangles.corner_scales(instance_ids)[:, None, None]
     extent, reach = np.ptp(inside, axis=1).max(axis=1), np.abs(inside).max(axis=(1, 2))
     offsets = stretch * plane_offset(extent, reach, triangles.reaches_at(instance_ids))
     return Emitters(corners, prim_ids, instance_ids, offsets)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,17 +108,21 @@ class TreeMap:
 
     def roots(self) -> list[Place]:
         """The roots of the scene's trees, in the order in which they are searched."""
-        return list(self._roots(self._structure, np.eye(3, 4), 0, 0))
+        return list(self._roots(self._structure, np.eye(3, 4), 0, lambda ids: ids))
 
     def _roots(
-        self, structure: Any, back: NDArray[np.float64], instance: int, first: int
+        self,
+        structure: Any,
+        back: NDArray[np.float64],
+        instance: int,
+        in_scene: Callable[[NDArray[np.int32]], NDArray[np.int32]],
     ) -> Iterator[Place]:
-        """The roots of a structure's trees; its primitives' numbers begin at `first`."""
+        """The roots of a structure's trees; ``in_scene(ids)`` are its prim_ids in the scene."""
         store, arrays = structure.triangles, structure.arrays
         frame = Frame(structure.frame, self._ray, back)
 
         def leaf_of(ids: NDArray[np.int32]) -> tuple[str, Callable[[], list[Any]]]:
-            found = [(instance, first + one) for one in ids.ravel().tolist() if one >= 0]
+            found = [(instance, one) for one in in_scene(ids[ids >= 0]).tolist()]
             return "leaf", lambda: found
 
         def triangles(code: int) -> tuple[str, Callable[[], list[Any]]]:
@@ -145,7 +150,7 @@ class TreeMap:
         instance = int(structure.trees.order[code >> _BITS])
         held, store = structure.triangles.instances, structure.triangles
         k = int(held.object_ids[instance])
-        inside = structure.objects[k], held.inverses[instance], instance, int(store.first_prims[k])
+        inside = structure.objects[k], held.inverses[instance], instance, partial(store.prims_of, k)
         return "instance", lambda: list(self._roots(*inside))
 
     def _place(
