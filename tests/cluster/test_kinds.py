@@ -44,10 +44,19 @@ def primitives() -> rs.Scene:
     return rs.Scene.combine([box(), ground, balls], camera=box().camera, lights=box().lights)
 
 
+def placed() -> rs.Scene:
+    places = np.tile(np.eye(3, 4), (2, 1, 1))
+    places[1, 0, 3] = 250.0
+    parts = {"camera": box().camera, "lights": box().lights}
+    return rs.Scene.instances([primitives(), box()], places, [0, 1], **parts)
+
+
 KINDS = {
     "instances": (instances, "float32"),
     "primitives": (primitives, "float32"),
+    "placed primitives": (placed, "float32"),
     "float64": (box, "float64"),
+    "placed float64": (instances, "float64"),
 }
 
 

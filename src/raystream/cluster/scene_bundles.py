@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.rendering.environment import texels_of
+from raystream.scene.geometry import Geometry
 from raystream.scene.instancing import InstancedGeometry
 from raystream.scene.lights import (
     DirectionalLight,
@@ -24,12 +26,19 @@ from raystream.scene.mesh import Mesh
 from raystream.scene.primitive_geometry import PrimitiveGeometry
 from raystream.scene.scene import Scene
 from raystream.scene.texture import Texture
-from raystream.structures.saved_stores import arrays_of, instances_of, part_of, primitives_of
+from raystream.structures.saved_stores import (
+    arrays_of,
+    instances_of,
+    object_arrays,
+    part_of,
+    primitives_of,
+)
 
 _ATTRIBUTES = ("vertices", "faces", "normals", "colors", "texcoords", "material_ids")
 
-#: How the names of `Store.saved_arrays` begin that are of instances, height fields and spheres.
-_GEOMETRY = ("object_ids", "transforms", "worlds", "masks", "field", "spheres")
+#: How the names of `Store.saved_arrays` begin that are of instances, height fields and spheres;
+#: those of an object have its name before.
+_GEOMETRY = re.compile(r"(object\d+\.)?(object_ids|transforms|worlds|masks|field|spheres)")
 
 _LIGHTS: dict[str, type[Light]] = {
     "point": PointLight,
@@ -74,11 +83,11 @@ def pack_scene(scene: Scene) -> tuple[dict[str, Any], Arrays]:
     }
     geometry: Any = scene.geometry
     if geometry.instances is not None:
-        header["mesh_counts"] = list(geometry.mesh_counts)
+        header["mesh_ranges"] = geometry.mesh_ranges
     if geometry.instances is not None or geometry.has_primitives:
         header["has_primitives"] = geometry.has_primitives
         own = arrays_of(scene.triangles).items()
-        arrays |= {f"geometry.{name}": one for name, one in own if name.startswith(_GEOMETRY)}
+        arrays |= {f"geometry.{name}": one for name, one in own if _GEOMETRY.match(name)}
     return header, arrays
 
 
@@ -101,12 +110,20 @@ def unpack_scene(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
         name=header["name"],
     )
     own = part_of(arrays, "geometry")
-    if header.get("has_primitives"):
-        return scene.with_geometry(PrimitiveGeometry(meshes, *primitives_of(own)))
-    if "mesh_counts" in header:
-        placed = instances_of(own)
-        return scene.with_geometry(InstancedGeometry(meshes, header["mesh_counts"], placed))
-    return scene
+    if "mesh_ranges" in header:
+        objects = [
+            _geometry(meshes[first:end], object_arrays(own, k))
+            for k, (first, end) in enumerate(header["mesh_ranges"])
+        ]
+        return scene.with_geometry(InstancedGeometry(objects, instances_of(own)))
+    return scene.with_geometry(_geometry(meshes, own)) if header.get("has_primitives") else scene
+
+
+def _geometry(meshes: list[Mesh], arrays: Mapping[str, NDArray[Any]]) -> Geometry:
+    """Meshes, with the height fields and spheres of `Primitives.saved_arrays`, if there are any."""
+    if "spheres.radii" not in arrays:
+        return Geometry(meshes)
+    return PrimitiveGeometry(meshes, *primitives_of(arrays))
 
 
 def _textures_of(materials: Sequence[Material]) -> list[Texture]:
