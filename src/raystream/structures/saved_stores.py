@@ -119,14 +119,17 @@ def _float64(arrays: Arrays) -> Float64Triangles:
 
 def _instances(arrays: Arrays) -> InstancedTriangles:
     objects: list[Store] = []
-    while own := part_of(arrays, f"object{len(objects)}"):
-        k = len(objects)
-        masks = part_of(arrays, f"masks.object{k}")
-        own |= {f"masks.{name}": one for name, one in masks.items()}
+    while own := object_arrays(arrays, len(objects)):
         kind = "spheres" if "spheres.radii" in own else "float64" if "vertices" in own else ""
         objects.append(_with_masks(_MAKERS[kind], own))
     splits = _splits(arrays, sum(map(len, objects)))
     return InstancedTriangles(objects, instances_of(arrays), splits, Attributes(()))
+
+
+def object_arrays(arrays: Arrays, k: int) -> dict[str, NDArray[Any]]:
+    """The arrays of an object of instances, with its masks."""
+    masks = part_of(arrays, f"masks.object{k}")
+    return part_of(arrays, f"object{k}") | {f"masks.{name}": one for name, one in masks.items()}
 
 
 def instances_of(arrays: Arrays) -> Instances:
