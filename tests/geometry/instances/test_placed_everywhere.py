@@ -102,9 +102,7 @@ def test_filters_masks_and_skips_choose_among_all_hits(kind: str, structure: str
     of_hits = _masks_of(every, kind)
     is_masked = of_hits & masks[ids] > 0
     is_skipped = (skipped[ids] == every.prim_id[:, None]).any(axis=1)
-    is_first = (first.prim_id[ids] == every.prim_id) & (
-        first.instance_id[ids] == every.instance_id
-    )
+    is_first = (first.prim_id[ids] == every.prim_id) & (first.instance_id[ids] == every.instance_id)
     cases: list[tuple[np.ndarray, dict[str, Any]]] = [
         (of_hits & 3 > 0, {"mask": 3}),
         (is_masked, {"mask": masks}),
@@ -193,9 +191,7 @@ def test_files_have_the_same_hits_and_masks(kind: str, tmp_path: Path) -> None:
     for given in (None, made.scene):
         loaded = rs.Tracer.load(tmp_path / "a.npz", given)
         for options in ({"worlds": 1}, {"worlds": 0, "mask": 3}):
-            hits, wanted = (
-                one.multi_hit(origins, directions, **options) for one in (loaded, made)
-            )
+            hits, wanted = (one.multi_hit(origins, directions, **options) for one in (loaded, made))
             for name in COLUMNS:
                 np.testing.assert_array_equal(getattr(hits, name), getattr(wanted, name), name)
 
@@ -232,5 +228,7 @@ def test_counters_count_what_is_searched(kind: str) -> None:
     least = store.first_ids[-1] * 400
     assert brute.counters.total["tests"] >= (least if kind == "float64" else least // 2)
     assert 0 < tree.counters.total["tests"] < least // 4
-    heat = rs.heatmap(tree, CAMERA, size=(20, 15))
-    assert heat.maximum > 0
+    x, y = np.arange(20) + 0.5, np.arange(15)[:, None] + 0.5
+    heat = rs.heatmap(tree, "tests", size=(20, 15))
+    tree.first_hit(*CAMERA.rays(20, 15, x, y))
+    assert heat.counts.sum() == tree.counters.total["tests"] > 0
