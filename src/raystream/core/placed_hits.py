@@ -12,7 +12,6 @@ from raystream.core.float64_triangles import float64_offset
 from raystream.core.instances import Instances, moved
 from raystream.core.primitives import PrimitiveStore
 from raystream.core.spawn import WORLD_UNIT, side_of
-from raystream.core.store import Store
 
 if TYPE_CHECKING:
     from raystream.core.hits import HitColumns
@@ -39,7 +38,7 @@ class PlacedHits(PrimitiveStore):
         first one's number in the object, and its prim_id.
     """
 
-    objects: tuple[Store, ...]
+    objects: tuple[Any, ...]
     instances: Instances
     parts: NDArray[np.int64]
 
@@ -72,8 +71,8 @@ class PlacedHits(PrimitiveStore):
 
     def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
         """See `Store.local_corners`."""
-        prim_id, instance_id = self.ids_of(numbers.astype(np.int32))
-        corners = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
+        ids: Any = self.ids_of(numbers.astype(np.int32))
+        corners = self.points_to_world(self.corners_at(*ids), ids[1])
         return (corners - self.center) * self.scale
 
     def touching_corners(self, hits: HitColumns) -> NDArray[np.float64]:

@@ -234,7 +234,7 @@ class InstancedBvh(InstancedStructure):
     traverse = staticmethod(traverse_top)
     point_loop = staticmethod(find_in_trees)
     stack_bytes = 2 * STACK_BYTES
-    many_ray_kernels = BATCH_KERNELS
+    many_ray_kernels: Mapping[Kind, BatchKernels] = BATCH_KERNELS
 
     def _trees(self, boxes: Triangles) -> TopTrees:
         return TopTrees.of(boxes, self.triangles.instances)
