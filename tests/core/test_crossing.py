@@ -8,7 +8,7 @@ import pytest
 import raystream as rs
 from conftest import assert_same_bits
 from gradients import crossing, differences, hits_of, open_mesh, relative_error
-from raystream.core.crossing import corners_of, inverse_rows, points_at
+from raystream.core.crossing import HitRows, inverse_rows, points_at
 from raystream.core.padded_hits import pad
 
 
@@ -28,7 +28,7 @@ def rows_of(directions, corners, is_hit):
 
 def test_rows_are_slopes_by_the_origin(traced):
     tracer, (origins, directions), hits = traced
-    corners = corners_of(tracer.structure.triangles, hits.prim_id)
+    corners = tracer.structure.triangles.touching_corners(hits)
     rows, is_hit = rows_of(directions, corners, hits.is_hit), hits.is_hit
     assert 100 < is_hit.sum() < 200
     expected = differences(origins[is_hit], directions[is_hit], corners[is_hit])
@@ -38,7 +38,7 @@ def test_rows_are_slopes_by_the_origin(traced):
 
 def test_points_are_the_triangle_s(traced):
     tracer, rays, hits = traced
-    corners = corners_of(tracer.structure.triangles, hits.prim_id)
+    corners = tracer.structure.triangles.touching_corners(hits)
     weights = hits.u.astype(float), hits.v.astype(float)
     points = np.stack(points_at(np, corners, *weights, hits.is_hit), axis=-1)
     np.testing.assert_allclose(points, hits.positions, rtol=1e-12)  # NaN at the same places
@@ -63,10 +63,17 @@ def test_numbers_of_misses_do_not_matter(bad):
     assert not rows.any()
 
 
+def corners_of(triangles, prim_id):
+    """The corners of triangles, as of hits."""
+    weights = np.zeros(prim_id.shape, np.float32)
+    return triangles.touching_corners(HitRows(weights, weights, prim_id, np.minimum(prim_id, 0)))
+
+
 def test_corners_are_in_world_space():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]) + 1e6
     scene = rs.Scene.from_arrays(vertices, [[0, 1, 2]])
     found = corners_of(scene.triangles, np.array([[0, -1]], np.int32))
+    assert not found[0, 1].any()
     np.testing.assert_allclose(found[0, 0], vertices, rtol=1e-12)
     assert found.shape == (1, 2, 3, 3)
     none = rs.Scene.from_arrays(np.zeros((0, 3)), np.zeros((0, 3), int))
