@@ -70,19 +70,12 @@ class PlacedSolids:
         rows = np.arange(self._first_solids[-1]) - np.repeat(self._shifts, of_instances)
         self._rows, self._counts = rows, of_instances
         self._meshes, self._mesh_shifts = _mesh_rows(triangles, counts)
-        columns = [*zip(*found, strict=True)] or [()] * len(Solids._fields)
-        joined = [np.concatenate([[], *column]) for column in columns[:5]]
+        joined = [np.concatenate([[], *column]) for column in list(zip(*found, strict=True))[:5]]
         self._volumes, is_closed = joined[4], joined[0].astype(bool)
         self.is_closed: NDArray[np.bool_] = is_closed[rows]
-        is_closed_mesh, is_flipped, is_empty, has_slivers = map(self._by_mesh, joined[:4])
-        self.solids = Solids(
-            is_closed_mesh,
-            is_flipped,
-            is_empty,
-            has_slivers,
-            self._volumes,
-            all(one.is_closed_together for one in found),
-        )
+        closed, flipped, empty, has_slivers = map(self._by_mesh, joined[:4])
+        is_closed_together = all(one.is_closed_together for one in found)
+        self.solids = Solids(closed, flipped, empty, has_slivers, self._volumes, is_closed_together)
         self.corners = triangles.object_corners()
         self._instances = instance_records(triangles, np.arange(len(ids)))
         self._objects = object_records(structure.objects)

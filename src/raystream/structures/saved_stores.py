@@ -128,10 +128,9 @@ def _instances(arrays: Arrays) -> InstancedTriangles:
 
 
 def object_arrays(arrays: Arrays, k: int) -> dict[str, NDArray[Any]]:
-    """The arrays of object k of `InstancedTriangles.saved_arrays`, with its masks."""
+    """The arrays of an object of instances, with its masks."""
     masks = part_of(arrays, f"masks.object{k}")
-    held = {f"masks.{name}": one for name, one in masks.items()}
-    return part_of(arrays, f"object{k}") | held
+    return part_of(arrays, f"object{k}") | {f"masks.{name}": one for name, one in masks.items()}
 
 
 def instances_of(arrays: Arrays) -> Instances:

@@ -49,7 +49,8 @@ class WorldTracer(TracedScene):
         scene = self.scene.in_world(world)
         structure: Any = self.structure
         other = type(self).__new__(type(self))
-        made = {"_scene": scene, "structure": structure.moved(scene.triangles)}
+        moved = structure.moved(structure.triangles.moved(scene.placements))
+        made = {"_scene": scene, "structure": moved}
         other.__setstate__({**self.__getstate__(), **made})
         return other
 
