@@ -29,7 +29,7 @@ from raystream.scene.texture import Texture
 from raystream.structures.saved_stores import (
     arrays_of,
     instances_of,
-    object_arrays,
+    objects_of,
     part_of,
     primitives_of,
 )
@@ -111,8 +111,9 @@ def unpack_scene(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
     )
     own = part_of(arrays, "geometry")
     if "mesh_ranges" in header:
+        held = objects_of(own)
         objects = [
-            _geometry(meshes[first:end], object_arrays(own, k))
+            _geometry(meshes[first:end], held.get(k, {}))
             for k, (first, end) in enumerate(header["mesh_ranges"])
         ]
         return scene.with_geometry(InstancedGeometry(objects, instances_of(own)))
