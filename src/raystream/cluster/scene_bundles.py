@@ -30,7 +30,7 @@ from raystream.scene.texture import Texture
 from raystream.structures.saved_stores import (
     arrays_of,
     instances_of,
-    object_arrays,
+    objects_of,
     part_of,
     primitives_of,
 )
@@ -112,9 +112,9 @@ def unpack_scene(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
     )
     own = part_of(arrays, "geometry")
     if "objects" in header:
-        rest = iter(meshes)
+        rest, held = iter(meshes), objects_of(own)
         objects = [
-            _geometry(list(itertools.islice(rest, count)), has_primitives, object_arrays(own, k))
+            _geometry(list(itertools.islice(rest, count)), has_primitives, held.get(k, {}))
             for k, (count, has_primitives) in enumerate(header["objects"])
         ]
         return scene.with_geometry(InstancedGeometry(objects, instances_of(own)))

@@ -70,7 +70,8 @@ class PlacedSolids:
         rows = np.arange(self._first_solids[-1]) - np.repeat(self._shifts, of_instances)
         self._rows, self._counts = rows, of_instances
         self._meshes, self._mesh_shifts = _mesh_rows(triangles, counts)
-        joined = [np.concatenate([[], *column]) for column in list(zip(*found, strict=True))[:5]]
+        columns = [*zip(*found, strict=True)] or [()] * len(Solids._fields)
+        joined = [np.concatenate([[], *column]) for column in columns[:5]]
         self._volumes, is_closed = joined[4], joined[0].astype(bool)
         self.is_closed: NDArray[np.bool_] = is_closed[rows]
         closed, flipped, empty, has_slivers = map(self._by_mesh, joined[:4])
