@@ -52,8 +52,8 @@ _SLOPES = "u and v of hits on shapes are codes, which have no derivatives"
 _INSIDE = "it follows each test of a ray, and those of shapes are within users' functions"
 _CODE = "users' functions are not sent to other machines"
 _NEAREST = (
-    "in instances, it searches triangles in float32 alone; a stretched sphere is an ellipsoid, whose "
-    "closest points have no closed form"
+    "in instances, it searches triangles in float32 alone; a stretched sphere is an ellipsoid, "
+    "whose closest points have no closed form"
 )
 
 

@@ -111,8 +111,8 @@ class Shapes:
             bad = int(np.argmin(is_sound))
             low, high = bounds[bad].tolist()
             raise ValueError(
-                f"{functions.place('bounds')}: bounds of record {bad} are {low} to {high}; expected "
-                "finite coordinates, at most 2**200, the low ones first"
+                f"{functions.place('bounds')}: bounds of record {bad} are {low} to {high}; "
+                "expected finite coordinates, at most 2**200, the low ones first"
             )
         ids = np.broadcast_to(ids, array.shape).astype(np.int32)
         return cls(functions, array, bounds, ids, as_mask("mask", mask))
