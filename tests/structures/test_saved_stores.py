@@ -48,7 +48,7 @@ def test_another_scene_is_recognised(tmp_path: Path) -> None:
     rs.Tracer(BALLS).save(tmp_path / "a.npz")
     other = rs.Scene.spheres([[0, 0, 3], [1, 1, 4]], [1.0, 0.75])
     for scene in (other, FIELD, ROUND):
-        with pytest.raises(rs.FileFormatError, match="other triangles than the scene's"):
+        with pytest.raises(rs.FileFormatError, match="other geometry than the scene's"):
             rs.Tracer.load(tmp_path / "a.npz", scene)
 
 

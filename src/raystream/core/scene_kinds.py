@@ -45,15 +45,15 @@ _WITH_DISTANCE = tuple(one for one in _ALL if one != "shapes without distance")
 
 # Why a kind of scene lacks a feature.
 _SETS = "worlds are sets of instances"
-_DEVICE = "its traversal on the device finds triangles in instances"
-_HOST = "functions of users are compiled for the CPU"
-_AREAS = "areas of shapes are not known"
-_SLOPES = "functions of users have no derivatives"
-_INSIDE = "what functions of users do cannot be shown"
-_CODE = "functions of users are not sent to other machines"
+_DEVICE = "in instances, its kernels find triangles in float32 alone"
+_HOST = "the functions of shapes are compiled for the CPU"
+_AREAS = "it needs the area of each shape, which nothing tells"
+_SLOPES = "u and v of hits on shapes are codes, which have no derivatives"
+_INSIDE = "it follows each test of a ray, and those of shapes are within users' functions"
+_CODE = "users' functions are not sent to other machines"
 _NEAREST = (
-    "its search in an object is of triangles in float32; the closest points of ellipsoids have no "
-    "closed form"
+    "in instances, it searches triangles in float32 alone; a stretched sphere is an ellipsoid, "
+    "whose closest points have no closed form"
 )
 
 

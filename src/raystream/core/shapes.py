@@ -94,7 +94,7 @@ class Shapes:
                 "records: expected a structured array of numbers of shape (N,), one record for "
                 f"each shape, got dtype {array.dtype} and shape {array.shape}"
             )
-        array = array.reshape(-1)
+        array = array.reshape(-1).astype(array.dtype.newbyteorder("="), copy=False)
         ids = as_integers("material_ids", material_ids)
         if ids.shape not in ((), array.shape):
             raise ValueError(
@@ -111,8 +111,8 @@ class Shapes:
             bad = int(np.argmin(is_sound))
             low, high = bounds[bad].tolist()
             raise ValueError(
-                f"{functions.name}: bounds of record {bad} are {low} to {high}; expected finite "
-                "coordinates, at most 2**200, the low ones first"
+                f"{functions.place('bounds')}: bounds of record {bad} are {low} to {high}; "
+                "expected finite coordinates, at most 2**200, the low ones first"
             )
         ids = np.broadcast_to(ids, array.shape).astype(np.int32)
         return cls(functions, array, bounds, ids, as_mask("mask", mask))
@@ -147,6 +147,11 @@ class Shapes:
         """The points of the surface next to those that u and v stand for, and unit normals."""
         points = self.points_at(rows, u, v)
         normals = self.functions.normals_at(self, rows, points)
+        # Where there is none, such as at a tip: away from the middle of the box.
+        none = np.flatnonzero(~np.isfinite(normals).all(axis=1) & ~np.isnan(u))
+        away = points[none] - self.bounds[rows[none]].mean(axis=1)
+        away[~away.any(axis=1), 2] = 1.0
+        normals[none] = away / np.linalg.norm(away, axis=1, keepdims=True)
         lines = np.concatenate([points, normals], axis=1)
         t = self.functions.crossings_at(self, rows, lines)
         nearest = np.take_along_axis(t, np.nan_to_num(np.abs(t), nan=np.inf).argmin(1)[:, None], 1)

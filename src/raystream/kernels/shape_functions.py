@@ -27,6 +27,7 @@ from raystream.kernels.shapes import (
     ShapeRecord,
     call_for_rows,
     load_three,
+    note_fault,
     settle,
     span_of,
     store_three,
@@ -62,7 +63,12 @@ _STATEMENTS = {
         "length = square_root(float64(x * x + y * y + z * z))",
         "store_three(out, x / length, y / length, z / length)",
     ),
-    "distance": ("store(out, float64(accept(function(record, load_three(given)))))",),
+    "distance": (
+        "distance = float64(accept(function(record, load_three(given))))",
+        "if distance != distance:",
+        "    note_fault(faults, not_a_number, own)",
+        "store(out, distance)",
+    ),
 }
 
 #: Differences of distances are over this part of the box's longest side.
@@ -124,6 +130,8 @@ def _compiled(
         "int64": np.int64,
         "load_three": load_three,
         "most": np.uint64(hits),
+        "not_a_number": NOT_A_NUMBER,
+        "note_fault": note_fault,
         "numbers_at": record_at(np.dtype("f8"), hits),
         "one": ONE_U64,
         "record_at": record_at(dtype, 0),
@@ -279,7 +287,8 @@ class CompiledFunctions:
                 if role == "intersect":
                     wrong += f", perhaps by writing more than the {self.hits} distances of hits="
             elif fault & 3 == int(NOT_A_NUMBER):
-                wrong = f"wrote a distance that is NaN, for record {fault >> 2}"
+                done = "returned" if role == "distance" else "wrote"
+                wrong = f"{done} a distance that is NaN, for record {fault >> 2}"
             else:
                 wrong = f"returned a number that is not 0 to {self.hits}, for record {fault >> 2}"
             raise RaystreamError(f"{place}: {wrong}")

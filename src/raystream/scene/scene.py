@@ -214,7 +214,7 @@ class Scene(PrimitiveScene):
         elif self.placements is not None:
             raise ValueError("meshes: fixed in a scene with instances; see Scene.instances")
         elif self.has_primitives:
-            raise ValueError("meshes: spheres and height fields would be lost; see Scene.combine")
+            raise ValueError("meshes: all other geometry would be lost; see Scene.combine")
         return scene
 
     def moved(self, meshes: Sequence[Mesh], triangles: Triangles | None) -> Scene:

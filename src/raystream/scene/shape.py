@@ -64,6 +64,9 @@ class Shape:
     prim_id, like those of all geometry; and crossings of a shape, where t is equal, as they are
     along the line.
 
+    Where `normal` is zero or NaN, such as at a tip, hits have a normal away from the middle of the
+    box. A distance that is NaN is an error.
+
     u and v of a hit are two numbers that say where in the shape's box it is, to 2**-22 of the box's
     sides. `Hits.positions` follows from them, and `Hits.normals` from `normal` there.
 

@@ -116,7 +116,7 @@ def load_structure(
             given = triangles_in("float64" if is_double else "float32")
             held = {name: one for name, one in held.items() if not name.startswith("masks.")}
             if list(given.kinds) != kinds or not same_arrays(held, given.saved_arrays()):
-                raise ValueError("was built from other triangles than the scene's; rebuild it")
+                raise ValueError("was built from other geometry than the scene's; rebuild it")
             stored = given
         return structure_of(stored, arrays, _options(made, options))
     except ValueError as error:

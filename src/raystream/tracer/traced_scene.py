@@ -184,7 +184,7 @@ class TracedScene:
             scene with the same faces, such as `Scene.at` returns: its lights, materials, normals
             and camera are also used. If all its meshes are the same objects as before, nothing is
             done, and the report's costs are nan.
-            With spheres or height fields only a scene, with as many spheres and samples.
+            With spheres, shapes or height fields only a scene, with as many of them and samples.
         transforms : array_like of shape (K, 3, 4), real, optional
             Instead of `vertices`, for a scene with instances: their new transforms, see
             `Scene.instances`. The objects stay the same: only the tree over the instances is
@@ -275,8 +275,8 @@ class TracedScene:
         is_same = own.kinds == others.kinds and np.array_equal(own.mesh_splits, others.mesh_splits)
         if not is_same:
             raise ValueError(
-                "update: the scene has other numbers of triangles, samples or spheres, or is of "
-                "another kind; make another tracer"
+                "update: the scene has other numbers of triangles, samples, spheres or shapes, or "
+                "is of another kind; make another tracer"
             )
         if others is self.scene.triangles:
             self._set(scene, self.structure)

@@ -138,7 +138,7 @@ def test_bad_parts_are_named() -> None:
     ball = rs.Scene.spheres([[0, 0, 0]], 1.0)
     with pytest.raises(TypeError, match=r"scenes\[1\]: expected a Scene, got int"):
         rs.Scene.combine([ball, 3])
-    with pytest.raises(ValueError, match="meshes: spheres and height fields would be lost"):
+    with pytest.raises(ValueError, match="meshes: all other geometry would be lost"):
         rs.Scene.combine(parts()).replace(meshes=[])
 
 

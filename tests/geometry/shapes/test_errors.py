@@ -81,7 +81,12 @@ def test_wrong_arguments() -> None:
 def test_bounds_that_are_not_finite_or_reversed() -> None:
     records = BALLS.copy()
     records["radius"][1] = -1.0
-    fails(balls(), ValueError, "ball_hits: bounds of record 1 are .*the low ones first", records)
+    fails(
+        balls(),
+        ValueError,
+        "bounds: ball_bounds .*: bounds of record 1 are .*low ones first",
+        records,
+    )
     records["radius"][1] = np.nan
     fails(balls(), ValueError, "bounds of record 1 are", records)
 
@@ -182,3 +187,32 @@ def test_distances_and_normals_that_lie_are_found() -> None:
         balls(distance=other).check(BALLS)
     with pytest.raises(ValueError, match=f"{place_of(none)}: record .*: there is no normal"):
         balls(normal=none).check(BALLS)
+
+
+def test_distances_from_points_that_are_not_numbers() -> None:
+    def distance(ball: Any, point: Any) -> float:
+        return math.nan if ball.center[2] < 6.0 else 1.0
+
+    tracer = rs.Tracer(rs.Scene.shapes(balls(distance=distance), BALLS))
+    text = rf"distance: {place_of(distance)}: returned a distance that is NaN, for record 0"
+    for name in ("closest_point", "signed_distance"):
+        with pytest.raises(rs.RaystreamError, match=text):
+            getattr(tracer, name)([0.0, 0.0, 0.0])
+
+
+def test_hits_without_a_normal_are_no_error() -> None:
+    def normal(ball: Any, point: Any) -> Any:
+        return 0.0, 0.0, 0.0
+
+    tracer = rs.Tracer(rs.Scene.shapes(balls(normal=normal), BALLS))
+    hits = tracer.first_hit([[0.0, 0.0, 0.0], [0.0, 0.5, 0.0]], [0.0, 0.0, 1.0])
+    known = rs.Tracer(rs.Scene.shapes(balls(), BALLS)).first_hit(hits.positions * [1, 1, 0], RAY[1])
+    assert np.abs(hits.positions - known.positions).max() < 1e-5
+    assert np.abs(hits.normals - known.normals).max() < 1e-5  # outwards from the middle
+    assert np.isfinite(hits.spawn([0.0, 0.0, -1.0])).all()
+
+
+def test_records_in_another_byte_order() -> None:
+    swapped = BALLS.astype(BALLS.dtype.newbyteorder())
+    own, other = (rs.Tracer(rs.Scene.shapes(users.ball, one)) for one in (BALLS, swapped))
+    assert own.first_hit(*RAY).t == other.first_hit(*RAY).t
