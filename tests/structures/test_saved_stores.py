@@ -84,6 +84,17 @@ def test_damaged_files_are_refused(kind: str, name: str, value: Any, tmp_path: P
         rs.Tracer.load(path)
 
 
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_instances_of_all_bits_keep_them(precision: Any, tmp_path: Path) -> None:
+    faint = rs.Mesh(*icosphere(1)).with_mask(2)
+    scene = rs.Scene.instances(faint, PLACES, masks=[2**32 - 1, 2**32 - 1])
+    tracer = rs.Tracer(scene, precision=precision)
+    tracer.save(tmp_path / "a.npz")
+    for given in (None, scene):
+        loaded = rs.Tracer.load(tmp_path / "a.npz", given)
+        assert loaded.count_hits([0.1, 0.2, -9.0], [0.0, 0.0, 1.0], mask=1) == 4
+
+
 def test_many_objects_and_fields(tmp_path: Path) -> None:
     count = 350
     places = np.tile(np.eye(3, 4), (count, 1, 1))

@@ -188,3 +188,14 @@ def test_one_world_in_float64(rng, structure):
         np.testing.assert_array_equal(
             whole.first_hit(origins, [0, 0, 1.0], worlds=world).t, found.t
         )
+
+
+@pytest.mark.parametrize("kernel", ["single", "packet", "wavefront"])
+def test_instances_in_all_worlds_are_hit_once(rng, kernel):
+    scenes = [scene_of(np.random.default_rng(5), worlds) for worlds in (np.full(6, -1), None)]
+    origins = rng.uniform([-2, -2, -5], [28, 2, -4], (3000, 3))
+    tracer, brute = rs.Tracer(scenes[0], rs.Bvh(kernel=kernel)), rs.Tracer(scenes[1], "brute")
+    found = tracer.count_hits(origins, [0, 0, 1.0])
+    np.testing.assert_array_equal(found, brute.count_hits(origins, [0, 0, 1.0]))
+    assert found.max() == 2
+    assert len(tracer.multi_hit(origins, [0, 0, 1.0]).t) == found.sum()
