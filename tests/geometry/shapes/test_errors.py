@@ -223,3 +223,13 @@ def test_records_in_another_byte_order() -> None:
     swapped = BALLS.astype(BALLS.dtype.newbyteorder())
     own, other = (rs.Tracer(rs.Scene.shapes(users.ball, one)) for one in (BALLS, swapped))
     assert own.first_hit(*RAY).t == other.first_hit(*RAY).t
+
+
+def test_what_shapes_cannot_be() -> None:
+    scene = rs.Scene.shapes(users.ball, BALLS)
+    with pytest.raises(ValueError, match="shapes of users, which cannot be instances; "):
+        rs.Scene.instances(scene, np.eye(3, 4))
+    with pytest.raises(ValueError, match="meshes: all other geometry would be lost"):
+        scene.replace(meshes=[rs.Mesh(np.eye(3), [[0, 1, 2]])])
+    with pytest.raises(ValueError, match="other numbers of triangles, samples, spheres or shapes"):
+        rs.Tracer(scene).update(rs.Scene.shapes(users.ball, BALLS[:1]))
