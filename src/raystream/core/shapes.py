@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -28,6 +29,27 @@ SLACK = 2.0**-20
 #: Lines that are tried to find a point of a shape; and their steps across its box, in proportions
 #: that spread them evenly.
 _LINES, _ACROSS = 32, np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+
+
+#: Arguments of users' functions, by what these are for.
+ARGUMENTS: Mapping[str, tuple[str, ...]] = {
+    "bounds": ("record",),
+    "intersect": ("record", "origin", "direction", "span", "t"),
+    "normal": ("record", "point"),
+    "distance": ("record", "point"),
+}
+
+
+def place_of(role: str, function: Callable[..., Any]) -> str:
+    """What errors call a user's function: its role, name, file and line."""
+    code = getattr(getattr(function, "py_func", function), "__code__", None)
+    if code is None:
+        raise TypeError(f"{role}: expected a Python function, got {type(function).__name__}")
+    place = f"{role}: {code.co_name} ({code.co_filename}, line {code.co_firstlineno})"
+    if code.co_argcount != len(ARGUMENTS[role]) or code.co_kwonlyargcount:
+        given = ", ".join(code.co_varnames[: code.co_argcount])
+        raise TypeError(f"{place}: takes ({given}); expected ({', '.join(ARGUMENTS[role])})")
+    return place
 
 
 class Functions(Protocol):

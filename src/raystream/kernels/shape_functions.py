@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
-from raystream.core.shapes import Shapes
+from raystream.core.shapes import Shapes, place_of
 from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.fingerprint import fingerprint
 from raystream.jit.intrinsics import record_at
@@ -26,6 +26,7 @@ from raystream.kernels.shapes import (
     SHAPE,
     ShapeRecord,
     call_for_rows,
+    forget,
     load_three,
     note_fault,
     settle,
@@ -33,14 +34,8 @@ from raystream.kernels.shapes import (
     store_three,
 )
 
-#: Arguments of each function, and the type of its result.
+#: The type of each function's result.
 _POINT = ("float64",) * 3
-ARGUMENTS: Mapping[str, tuple[str, ...]] = {
-    "bounds": ("record",),
-    "intersect": ("record", "origin", "direction", "span", "t"),
-    "normal": ("record", "point"),
-    "distance": ("record", "point"),
-}
 _RESULTS = {"bounds": (_POINT, _POINT), "intersect": "int64", "normal": _POINT}
 
 #: Statements that call each function. `own` is the shape, `given` the address of a ray or point.
@@ -55,6 +50,7 @@ _STATEMENTS = {
         "span = span_of(own, origin, direction)",
         "if not span[0] <= span[1]:",
         "    return zero",
+        "forget(out, most)",
         "count = accept(function(record, origin, direction, span, numbers_at(out, zero)))",
         "return settle(faults, own, int64(count), most, span, out)",
     ),
@@ -98,18 +94,6 @@ def _gradient() -> tuple[str, ...]:
     )
 
 
-def place_of(role: str, function: Callable[..., Any]) -> str:
-    """What errors call a user's function: its role, name, file and line."""
-    code = getattr(getattr(function, "py_func", function), "__code__", None)
-    if code is None:
-        raise TypeError(f"{role}: expected a Python function, got {type(function).__name__}")
-    place = f"{role}: {code.co_name} ({code.co_filename}, line {code.co_firstlineno})"
-    if code.co_argcount != len(ARGUMENTS[role]) or code.co_kwonlyargcount:
-        given = ", ".join(code.co_varnames[: code.co_argcount])
-        raise TypeError(f"{place}: takes ({given}); expected ({', '.join(ARGUMENTS[role])})")
-    return place
-
-
 def _compiled(
     role: str, function: Callable[..., Any], dtype: np.dtype[Any], hits: int, is_distance: bool
 ) -> Loop:
@@ -127,6 +111,7 @@ def _compiled(
     names = {
         "accept": accept("float64" if is_distance else _RESULTS.get(role, "float64"), "it"),
         "float64": np.float64,
+        "forget": forget,
         "int64": np.int64,
         "load_three": load_three,
         "most": np.uint64(hits),
@@ -287,7 +272,7 @@ class CompiledFunctions:
                 if role == "intersect":
                     wrong += f", perhaps by writing more than the {self.hits} distances of hits="
             elif fault & 3 == int(NOT_A_NUMBER):
-                done = "returned" if role == "distance" else "wrote"
+                done = "returned" if role == "distance" else "wrote no distance, or"
                 wrong = f"{done} a distance that is NaN, for record {fault >> 2}"
             else:
                 wrong = f"returned a number that is not 0 to {self.hits}, for record {fault >> 2}"

@@ -50,6 +50,8 @@ SHAPE = np.dtype(
 )
 ShapeRecord = view(SHAPE)
 
+_NAN = np.float64(np.nan)
+
 #: Bytes of the distances of a ray's crossings with a shape.
 CROSSINGS_BYTES = 8 * MOST_HITS
 _RAY_BYTES, _POINT_BYTES = 48, 24
@@ -116,6 +118,13 @@ def span_of(own, origin, direction):
     span = _cut(x - slack, a + slack, origin[0], direction[0], (-INF_F64, INF_F64))
     span = _cut(y - slack, b + slack, origin[1], direction[1], span)
     return _cut(z - slack, c + slack, origin[2], direction[2], span)
+
+
+@device
+def forget(out, most):
+    """Write NaN for all distances, so that those that a user's function does not write are seen."""
+    for k in range(most):
+        store(out + (k << SHIFT_64), _NAN)
 
 
 @device

@@ -43,8 +43,8 @@ class InstancedScene:
         objects : Mesh, Scene, or sequence of them
             In their own space, object space. A list of meshes within the sequence is one object.
             Of a scene, the meshes, height fields, spheres and materials are used, not its lights
-            and cameras. A scene may have instances itself: each time it is placed, each of its
-            instances becomes an instance of the new scene.
+            and cameras; it cannot have shapes. A scene may have instances itself: each time it is
+            placed, each of its instances becomes an instance of the new scene.
         transforms : array_like of shape (K, 3, 4) or (3, 4), real
             Object to world space: ``world = transforms[k, :, :3] @ point + transforms[k, :, 3]``,
             in float64. They may mirror, shear, and scale each axis differently.
@@ -75,9 +75,9 @@ class InstancedScene:
         Raises
         ------
         ValueError
-            If a shape is wrong, an object does not exist, or a transform is not finite, singular
-            or nearly so (a condition number above 1e9). A tracer raises it for 2**31 triangles or
-            more in all instances.
+            If an array's shape is wrong, an object does not exist or has shapes of `Scene.shapes`,
+            or a transform is not finite, singular or nearly so (a condition number above 1e9).
+            A tracer raises it for 2**31 triangles or more in all instances.
         TypeError
             If an object is neither a mesh nor a scene, or the numbers are of the wrong kind.
         MemoryError

@@ -157,7 +157,10 @@ class Objects(NamedTuple):
         shift = len(self.materials)
         self.materials.extend(one.materials)
         if geometry.shapes:
-            raise ValueError("objects: one is a scene with shapes, which cannot be instances")
+            raise ValueError(
+                "objects: one is a scene with shapes of users, which cannot be instances; "
+                "Scene.shapes places a shape by its record"
+            )
         inner = geometry.instances
         if inner is not None and inner.worlds is not None:
             raise ValueError("objects: one is a scene whose instances are in worlds")

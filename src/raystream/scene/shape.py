@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.core.shapes import MOST_HITS, Shapes
+from raystream.core.shapes import ARGUMENTS, MOST_HITS, Shapes, place_of
 
 __all__ = ["Shape"]
 
@@ -114,6 +114,9 @@ class Shape:
             distance,
             normal,
         )
+        for role in ARGUMENTS:
+            if getattr(self, role) is not None:
+                place_of(role, getattr(self, role))
         self.hits = int(hits)
         self.name = name or getattr(intersect, "__name__", "shape")
         self._compiled: dict[str, Any] = {}

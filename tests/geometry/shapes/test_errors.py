@@ -69,8 +69,10 @@ def test_wrong_arguments() -> None:
     def bounds(ball: Any, more: Any) -> Any:
         return (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
-    fails(balls(bounds=bounds), TypeError, rf"{place_of(bounds)}: takes \(ball, more\)")
-    fails(balls(bounds=3), TypeError, "bounds: expected a Python function, got int")
+    with pytest.raises(TypeError, match=rf"{place_of(bounds)}: takes \(ball, more\)"):
+        balls(bounds=bounds)
+    with pytest.raises(TypeError, match="bounds: expected a Python function, got int"):
+        balls(bounds=3)
     with pytest.raises(TypeError, match="normal: expected a function"):
         rs.Shape(users.ball_bounds, users.ball_hits)
     for hits in (0, 33, 1.5):
@@ -96,8 +98,13 @@ def test_distances_that_are_not_numbers() -> None:
         t[0] = math.nan if ball.center[2] > 6.0 else 20.0
         return 1
 
-    text = rf"intersect: {place_of(intersect)}: wrote a distance that is NaN, for record 1"
-    fails(balls(intersect=intersect), rs.RaystreamError, text)
+    def none(ball: Any, origin: Any, direction: Any, span: Any, t: Any) -> int:
+        return 2
+
+    text = "wrote no distance, or a distance that is NaN, for record"
+    for function, row in ((intersect, 1), (none, 0)):
+        place = place_of(function)
+        fails(balls(intersect=function), rs.RaystreamError, rf"intersect: {place}: {text} {row}")
 
 
 def test_more_crossings_than_were_declared() -> None:
@@ -216,3 +223,13 @@ def test_records_in_another_byte_order() -> None:
     swapped = BALLS.astype(BALLS.dtype.newbyteorder())
     own, other = (rs.Tracer(rs.Scene.shapes(users.ball, one)) for one in (BALLS, swapped))
     assert own.first_hit(*RAY).t == other.first_hit(*RAY).t
+
+
+def test_what_shapes_cannot_be() -> None:
+    scene = rs.Scene.shapes(users.ball, BALLS)
+    with pytest.raises(ValueError, match="shapes of users, which cannot be instances; "):
+        rs.Scene.instances(scene, np.eye(3, 4))
+    with pytest.raises(ValueError, match="meshes: all other geometry would be lost"):
+        scene.replace(meshes=[rs.Mesh(np.eye(3), [[0, 1, 2]])])
+    with pytest.raises(ValueError, match="other numbers of triangles, samples, spheres or shapes"):
+        rs.Tracer(scene).update(rs.Scene.shapes(users.ball, BALLS[:1]))

@@ -225,7 +225,7 @@ def test_files_are_loaded_with_the_scene(tmp_path) -> None:
     moved["minor"] = 0.4
     slower = rs.Shape(users.torus_bounds, users.torus_hits, normal=users.torus_normal, hits=4)
     for other in (rs.Scene.shapes(users.torus, moved), rs.Scene.shapes(slower, TORI)):
-        with pytest.raises(rs.FileFormatError, match="other triangles"):
+        with pytest.raises(rs.FileFormatError, match="other geometry"):
             rs.Tracer.load(path, other)
 
 
