@@ -84,6 +84,19 @@ def test_damaged_files_are_refused(kind: str, name: str, value: Any, tmp_path: P
         rs.Tracer.load(path)
 
 
+@pytest.mark.parametrize("other", [ROUND, BALLS], ids=["meshes", "spheres"])
+def test_objects_of_both_precisions_are_refused(other: rs.Scene, tmp_path: Path) -> None:
+    path, objects = tmp_path / "a.npz", [other, ROUND]
+    rs.Tracer(rs.Scene.instances([ROUND, ROUND], PLACES, [0, 1]), precision="float64").save(path)
+    wide = read_npz(path)
+    rs.Tracer(rs.Scene.instances(objects, PLACES, [0, 1])).save(path)
+    begin = "triangles.object1."
+    mixed = {name: one for name, one in read_npz(path).items() if not name.startswith(begin)}
+    write_npz(path, mixed | {name: one for name, one in wide.items() if name.startswith(begin)})
+    with pytest.raises(rs.FileFormatError, match="float32 beside others in float64"):
+        rs.Tracer.load(path)
+
+
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_instances_of_all_bits_keep_them(precision: Any, tmp_path: Path) -> None:
     faint = rs.Mesh(*icosphere(1)).with_mask(2)
@@ -92,7 +105,7 @@ def test_instances_of_all_bits_keep_them(precision: Any, tmp_path: Path) -> None
     tracer.save(tmp_path / "a.npz")
     for given in (None, scene):
         loaded = rs.Tracer.load(tmp_path / "a.npz", given)
-        assert loaded.count_hits([0.1, 0.2, -9.0], [0.0, 0.0, 1.0], mask=1) == 4
+        assert loaded.count_hits([0.1, 0.2, -9.0], [0.0, 0.0, 1.0], mask=1) == 2
 
 
 def test_many_objects_and_fields(tmp_path: Path) -> None:

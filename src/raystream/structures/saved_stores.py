@@ -144,6 +144,8 @@ def _instances(arrays: Arrays) -> InstancedTriangles:
     for own in _from_zero(objects_of(arrays)):
         kind = "spheres" if "spheres.radii" in own else "float64" if "vertices" in own else ""
         objects.append(_with_masks(_MAKERS[kind], own))
+    if len({one.number_type for one in objects}) > 1:  # kernels read blocks of one size
+        raise ValueError("holds objects in float32 beside others in float64")
     splits = _splits(arrays, sum(map(len, objects)))
     return InstancedTriangles(objects, instances_of(arrays), splits, Attributes(()))
 
