@@ -50,7 +50,7 @@ _HOST = "the functions of shapes are compiled for the CPU"
 _AREAS = "it needs the area of each shape, which nothing tells"
 _SLOPES = "u and v of hits on shapes are codes, which have no derivatives"
 _INSIDE = "it follows each test of a ray, and those of shapes are within users' functions"
-_CODE = "users' functions are not sent to other machines"
+_CODE = "a cluster sends arrays to its workers, and no code"
 _NEAREST = (
     "in instances, it searches triangles in float32 alone; a stretched sphere is an ellipsoid, "
     "whose closest points have no closed form"

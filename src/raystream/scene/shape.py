@@ -32,10 +32,13 @@ class Shape:
         are left out. `span` is the part of the line within the box.
     distance : callable, optional
         ``distance(record, point)``: how far a point is from the surface; negative inside. Needed
-        for closest points and inside tests. A shape with it is a closed solid.
+        for closest points and inside tests. A shape with it is a closed solid. The largest of two
+        distances, as for a difference, is a bound and not enough.
     normal : callable, optional
         ``normal(record, point)`` returns ``(x, y, z)``: a vector of any length, perpendicular to
         the surface at a point on it, pointing outwards [default: the gradient of `distance`].
+        Beside `distance`, it is called elsewhere, too: it then points away from the surface's
+        nearest point, or toward it from inside.
     hits : int
         The most crossings of a line with a shape, and the length of `t`: at most 32.
     name : str, optional
@@ -146,7 +149,8 @@ class Shape:
         ------
         ValueError
             If a crossing is outside the bounds of its shape, has no normal, or has a distance other
-            than 0; or if a distance is larger than that of a crossing. The text has the function's
+            than 0; or if a distance is larger than that of a crossing, or does not lead to the
+            surface. The text has the function's
             name, file and line, the record's number, and the crossing.
         RaystreamError
             If a function fails, see `Scene.shapes`.

@@ -16,6 +16,9 @@ _GROWTH = 1.0
 #: Distances may be wrong by this part of a shape's longest side.
 _TOLERANCE = 1e-3
 
+#: Steps to a closest point.
+_STEPS = 4
+
 
 def check_shapes(shapes: Shapes, lines: int, seed: int) -> None:
     """Trace lines at each shape, without its bounds; see `Shape.check`."""
@@ -87,7 +90,7 @@ def _check_distances(
     most: NDArray[np.float64],
     sizes: NDArray[np.float64],
 ) -> None:
-    """Raise ValueError where a distance is more than that of a crossing."""
+    """Raise ValueError where a distance is more than that of a crossing, or misses the surface."""
     functions = shapes.functions
     distances = functions.distances_at(shapes, rows, points)
     bad = np.flatnonzero(~(np.abs(distances) <= most + _TOLERANCE * sizes))
@@ -96,6 +99,20 @@ def _check_distances(
         raise ValueError(
             f"{functions.place('distance')}: record {rows[row]}: the distance of "
             f"{_shown(points[row])} is {distances[row]:.6g}, but a crossing is {most[row]:.6g} away"
+        )
+    # As closest points are found, see `geometry.shapes.nearest.shape_foot`.
+    feet = points
+    for _ in range(_STEPS):
+        step = distances[:, None] * functions.normals_at(shapes, rows, feet)
+        feet = np.where(np.isfinite(step), feet - step, feet)
+        distances = functions.distances_at(shapes, rows, feet)
+    bad = np.flatnonzero(~(np.abs(distances) <= _TOLERANCE * sizes))
+    if len(bad):
+        row = bad[0]
+        raise ValueError(
+            f"{functions.place('distance')}: record {rows[row]}: its steps along the normal lead "
+            f"from {_shown(points[row])} to {_shown(feet[row])}, where it is {distances[row]:.6g}; "
+            "the distance may be a bound, or the normal right on the surface alone"
         )
 
 

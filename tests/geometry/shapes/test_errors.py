@@ -233,3 +233,14 @@ def test_what_shapes_cannot_be() -> None:
         scene.replace(meshes=[rs.Mesh(np.eye(3), [[0, 1, 2]])])
     with pytest.raises(ValueError, match="other numbers of triangles, samples, spheres or shapes"):
         rs.Tracer(scene).update(rs.Scene.shapes(users.ball, BALLS[:1]))
+
+
+def test_a_bound_of_the_distance_is_found() -> None:
+    def distance(ball: Any, point: Any) -> float:
+        place = point[0] - ball.center[0], point[1] - ball.center[1], point[2] - ball.center[2]
+        return 0.25 * (math.hypot(math.hypot(place[0], place[1]), place[2]) - ball.radius)
+
+    shape = balls(distance=distance)
+    with pytest.raises(ValueError, match=rf"{place_of(distance)}: record 0: its steps along the"):
+        shape.check(BALLS)
+    balls().check(BALLS)
