@@ -1,8 +1,8 @@
 """Winding numbers in scenes of any kind: sums over parts, each in a frame of its own.
 
 An affine transform keeps winding numbers of closed surfaces, up to the sign of its determinant; of
-open ones, they are those in object space. Instances keep that,
-too: the front of a mirrored one stays in front, as if its faces were turned.
+open ones, they are those in object space. Instances keep that, too: the front of a mirrored one
+stays in front, as if its faces were turned.
 """
 
 from __future__ import annotations

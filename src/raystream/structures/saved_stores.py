@@ -55,7 +55,7 @@ def _with_masks(make: Callable[[Arrays], Store], arrays: Arrays) -> Store:
 
 def arrays_of(store: Store) -> dict[str, NDArray[Any]]:
     """`Store.saved_arrays`; and its masks, where there are any."""
-    # An instance's own mask, even of all bits, replaces those of its meshes; 0 is none.
+    # An instance's own mask, even of all bits, replaces those of its meshes; 0 does not.
     held = {
         f"masks.{name}": masks
         for name, masks in store.saved_masks().items()
