@@ -45,18 +45,28 @@ def primitives() -> rs.Scene:
 
 
 def placed() -> rs.Scene:
-    places = np.tile(np.eye(3, 4), (2, 1, 1))
-    places[1, 0, 3] = 250.0
-    parts = {"camera": box().camera, "lights": box().lights}
-    return rs.Scene.instances([primitives(), box()], places, [0, 1], **parts)
+    """Instances of spheres and a height field beside those of meshes, with masks."""
+    inner = rs.Scene.combine([primitives(), rs.Scene.spheres([[0, 0, 0]], 50.0, mask=4)])
+    scene = instances()
+    places = np.concatenate([scene.placements.transforms, [[[1.0, 0, 0, 500], *np.eye(4)[1:3]]]])
+    places[3, 1, 1] = 0.5
+    ball = scene.geometry.objects[1].meshes[0].with_mask(2)
+    return rs.Scene.instances(
+        [box(), ball, inner],
+        places,
+        [2, 1, 0, 2],
+        masks=[0, 0, 8, 0],
+        camera=box().camera,
+        lights=box().lights,
+    )
 
 
 KINDS = {
     "instances": (instances, "float32"),
     "primitives": (primitives, "float32"),
-    "placed primitives": (placed, "float32"),
     "float64": (box, "float64"),
-    "placed float64": (instances, "float64"),
+    "instances of primitives": (placed, "float32"),
+    "instances in float64": (instances, "float64"),
 }
 
 
@@ -79,6 +89,9 @@ def test_workers_have_the_same_tracer(kind) -> None:
             hits = found.first_hit(*RAYS)
             for name in HITS:
                 assert_same_bits(getattr(hits, name), getattr(expected, name))
+            for mask in (2, 4, 8):
+                found_there, there = (x.count_hits(*RAYS, mask=mask) for x in (found, tracer))
+                np.testing.assert_array_equal(found_there, there)
             if for_rendering:
                 assert_same_bits(rs.render(found, "raycast", **seen).pixels, image)
 

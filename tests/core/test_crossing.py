@@ -63,20 +63,21 @@ def test_numbers_of_misses_do_not_matter(bad):
     assert not rows.any()
 
 
-def rows_at(prim_id):
-    """Hits of these prim_ids, at vertex 0."""
-    ids = np.array(prim_id, np.int32)
-    return HitRows(np.zeros(ids.shape), np.zeros(ids.shape), ids, np.full_like(ids, -1))
+def corners_of(triangles, prim_id):
+    """The corners of triangles, as of hits."""
+    weights = np.zeros(prim_id.shape, np.float32)
+    return triangles.touching_corners(HitRows(weights, weights, prim_id, np.minimum(prim_id, 0)))
 
 
 def test_corners_are_in_world_space():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]) + 1e6
     scene = rs.Scene.from_arrays(vertices, [[0, 1, 2]])
-    found = scene.triangles.touching_corners(rows_at([[0, -1]]))
+    found = corners_of(scene.triangles, np.array([[0, -1]], np.int32))
+    assert not found[0, 1].any()
     np.testing.assert_allclose(found[0, 0], vertices, rtol=1e-12)
     assert found.shape == (1, 2, 3, 3)
     none = rs.Scene.from_arrays(np.zeros((0, 3)), np.zeros((0, 3), int))
-    assert none.triangles.touching_corners(rows_at([-1] * 4)).shape == (4, 3, 3)
+    assert corners_of(none.triangles, np.full(4, -1, np.int32)).shape == (4, 3, 3)
 
 
 @pytest.mark.parametrize("max_hits", [0, 1, 3, 9])

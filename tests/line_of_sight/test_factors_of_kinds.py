@@ -165,3 +165,103 @@ def test_cut_outs_of_instances_and_spheres():
         rs.Scene.combine([flat, ghost]), [0, 0, 1, 1, 2], rays=1 << 14, cutouts=False
     )
     assert solid.factors[0, 2] > 0.05
+
+
+def at(center, linear):
+    """A transform that moves the sphere of `BALL` to a centre."""
+    return np.column_stack([linear, np.asarray(center) - linear @ [1.0, 2.0, 3.0]])
+
+
+BALL = rs.Scene.spheres([[1.0, 2.0, 3.0]], 0.5)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e5])
+def test_two_instances_of_a_sphere(shift):
+    way = np.array([2.0, -1.0, 2.0]) / 3.0
+    places = [at(shift * way, 2.0 * turned(0.3)), at((shift + 3.0) * way, -4.0 * turned(1.0, 0))]
+    found = rs.view_factors(rs.Scene.instances(BALL, places), rays=1 << 15)
+    check(found, 0, 1, between_spheres(1.0, 2.0, 3.0))
+    check(found, 1, 0, between_spheres(2.0, 1.0, 3.0))
+    assert found.factors[0, 0] == found.factors[1, 1] == 0.0
+    np.testing.assert_array_equal(found.other, 0.0)
+    assert found.areas == pytest.approx([4 * math.pi, 16 * math.pi], rel=1e-12)
+
+
+def area_of_ellipsoid(a, b, c):
+    """The area, from that of the unit sphere's parts as they are stretched."""
+    z = np.polynomial.legendre.leggauss(200)
+    turn = 2 * math.pi * (np.arange(400) + 0.5) / 400
+    sine = np.sqrt(1.0 - z[0] ** 2)[:, None]
+    x, y = sine * np.cos(turn), sine * np.sin(turn)
+    stretch = np.sqrt((b * c * x) ** 2 + (a * c * y) ** 2 + (a * b * z[0][:, None]) ** 2)
+    return float((stretch.mean(axis=1) * z[1]).sum() * 2 * math.pi)
+
+
+@pytest.mark.parametrize("axes", [(0.8, 0.4, 0.2), (0.9, 0.9, 0.05), (0.05, 0.1, 0.95)])
+def test_ellipsoids_in_a_box(axes):
+    walls, ids = box()
+    linear = turned(0.4) @ turned(0.9, 0) @ (np.diag(axes) * [2.0, -2.0, 2.0])
+    inner = rs.Scene.instances(BALL, [at([0.0, 0.0, 0.0], linear)])
+    scene = rs.Scene.combine([rs.Scene([walls]), inner])
+    is_first = scene.placements.object_ids[0] == 0
+    patches = [*ids, 6] if is_first else [6, *ids]
+    found = rs.view_factors(scene, patches, rays=1 << 15)
+    np.testing.assert_array_equal(found.outside, 0.0)
+    np.testing.assert_array_equal(found.other, 0.0)
+    area = area_of_ellipsoid(*axes)
+    assert found.areas[6] == pytest.approx(area, rel=0.015)
+    assert found.factors[6, 6] == 0.0
+    # A convex body's exchange is the same from both sides.
+    exchange = np.append(found.areas[:6], area)[:, None] * found.factors
+    errors = np.append(found.areas[:6], area)[:, None] * found.standard_errors
+    assert (np.abs(exchange - exchange.T) <= 4 * (errors + errors.T)).all()
+    # On both sides: what leaves inside arrives there.
+    both = rs.view_factors(scene, patches, rays=1 << 12, two_sided=True)
+    assert abs(both.factors[6, 6] - 0.5) <= 4 * both.standard_errors[6, 6]
+
+
+def test_instances_of_fields_have_the_factors_of_their_meshes():
+    heights = np.random.default_rng(5).uniform(0.0, 3.0, (4, 5))
+    heights[1, 1] = np.nan
+    ball = rs.Scene.spheres([[2.0, 1.0, 4.0], [0.0, 1.0, 5.0]], 0.5)
+    both = rs.Scene.combine([rs.Scene([SQUARE]), rs.Scene.height_field(heights), ball])
+    linear = 2.0 * turned(0.5) @ turned(0.3, 1)
+    places = [at([0, 0, 0], linear), at([9, 0, 0], linear * [1.0, -1.0, 1.0])]
+    scene = rs.Scene.instances(both, places)
+    count = 2 + 24 + 2
+    own = np.r_[0, 0, 1 + np.arange(24) // 2, 13, 14]
+    own[[2, 3, 4, 5, 10, 11, 12, 13]] = -1  # around the missing sample
+    patches = np.concatenate([own, np.where(own < 0, -1, own + 15)])
+    known = np.unique(patches[patches >= 0])
+    patches = np.where(patches < 0, -1, np.searchsorted(known, patches))
+    found = rs.view_factors(scene, patches, rays=1 << 12)
+    # The flattened scene has meshes, then spheres.
+    flat = np.concatenate([patches[:26], patches[count : count + 26], patches[26:28]])
+    flat = np.concatenate([flat, patches[count + 26 :]])
+    wanted = rs.view_factors(scene.flattened(), flat, rays=1 << 12)
+    np.testing.assert_allclose(found.areas, wanted.areas, rtol=1e-5)
+    errors = found.standard_errors + wanted.standard_errors
+    assert (np.abs(found.factors - wanted.factors) <= 4 * errors).all()
+    assert found.factors.max() > 0.05
+    with pytest.raises(ValueError, match=r"shape \(56,\)"):
+        rs.view_factors(scene, patches[:-1])
+
+
+@pytest.mark.parametrize("size", [1e-4, 1.0, 1e5])
+def test_instances_in_float64_are_left_as_near_as_float64_rounds(size):
+    """Rays start between plates with a gap of a millionth of their size."""
+    plate = rs.Scene.from_arrays(size * SQUARE.vertices.astype(float), SQUARE.faces)
+    above = np.column_stack([np.diag([1.0, 1.0, -1.0]), [0.0, 0.0, 1e-6 * size]])
+    scene = rs.Scene.instances(plate, [np.eye(3, 4), above])
+    tracer = rs.Tracer(scene, precision="float64")
+    found = rs.view_factors(tracer, rays=1 << 12)
+    assert found.factors[0, 1] > 0.999
+    assert found.factors[1, 0] > 0.999
+    points = rs.surface_points(tracer, [0, 1], instance_ids=[0, 0])
+    eyes = [[0.5 * size, 0.5 * size, size * height] for height in (0.5e-6, 1.0, -1.0)]
+    seen = rs.visibility(tracer, points, eyes)
+    assert seen.tolist() == [[True, False, True]] * 2
+    beyond = rs.surface_points(tracer, [0, 1], instance_ids=[1, 1])
+    assert rs.visibility(tracer, points, beyond).all()
+    again = rs.Tracer(scene.flattened(), precision="float64")
+    assert rs.visibility(again, rs.surface_points(again, [0, 1]), eyes).tolist() == seen.tolist()

@@ -231,13 +231,19 @@ def test_a_sweep_of_instances_that_move(rng) -> None:
         assert_same_bits(getattr(once, name), getattr(expected, name))
 
 
-def test_worlds_are_asked_for() -> None:
-    scene = rs.Scene.instances(objects()[1], [np.eye(3, 4)] * 2, worlds=[0, 1])
-    tracer = rs.Tracer(scene)
+def test_worlds_are_asked_for_and_searched() -> None:
+    places = np.tile(np.eye(3, 4), (2, 1, 1))
+    places[1, 2, 3] = -2.0
+    tracer = rs.Tracer(rs.Scene.instances(objects()[1], places, worlds=[0, 1]))
     ray = [0.2, 0.3, 5.0], [0.0, 0.0, -1.0]
     for ask in (rs.thickness, rs.lidar_returns):
         with pytest.raises(ValueError, match="worlds: expected the world of each ray, 0 to 1"):
             ask(tracer, *ray)
+    entries = [rs.thickness(tracer, *ray, worlds=k).t_entry for k in range(2)]
+    ranges = [rs.lidar_returns(tracer, *ray, worlds=k).ranges for k in range(2)]
+    assert len(entries[0]) == len(ranges[0]) == 1
+    for near, far in (entries, ranges):
+        np.testing.assert_allclose(far, near + 2.0, rtol=1e-6)
 
 
 def test_empty_scenes() -> None:

@@ -61,7 +61,11 @@ def test_another_scene_is_recognised(tmp_path: Path) -> None:
         ("spheres", "spheres.material_ids", [0.5, 0.5]),
         ("fields", "field0.x", [0.0, 1.0, 0.5, 2.0]),
         ("fields", "field0.y", [0.0, 1.0, np.nan, 2.0]),
+        ("fields", "field0.y", [0.0, 1.0, 2.0, 1e300]),
         ("fields", "field0.base", [0.0, -1.0]),
+        ("fields", "field0.base", [0.0, 2.0**31 - 1.0]),  # a scene has as many materials
+        ("fields", "field0.base", [1e300, 0.0]),
+        ("spheres", "spheres.material_ids", np.array([0, 2**31 - 1], np.int32)),
         ("fields", "field0.heights", [0.0]),
         ("float64", "faces", np.array([[0, 1, 999]])),
         ("float64", "mesh_splits", np.array([0, 999])),
@@ -78,6 +82,51 @@ def test_damaged_files_are_refused(kind: str, name: str, value: Any, tmp_path: P
     write_npz(path, {**read_npz(path), f"triangles.{name}": np.asarray(value)})
     with pytest.raises(rs.FileFormatError):
         rs.Tracer.load(path)
+
+
+@pytest.mark.parametrize("other", [ROUND, BALLS], ids=["meshes", "spheres"])
+def test_objects_of_both_precisions_are_refused(other: rs.Scene, tmp_path: Path) -> None:
+    path, objects = tmp_path / "a.npz", [other, ROUND]
+    rs.Tracer(rs.Scene.instances([ROUND, ROUND], PLACES, [0, 1]), precision="float64").save(path)
+    wide = read_npz(path)
+    rs.Tracer(rs.Scene.instances(objects, PLACES, [0, 1])).save(path)
+    begin = "triangles.object1."
+    mixed = {name: one for name, one in read_npz(path).items() if not name.startswith(begin)}
+    write_npz(path, mixed | {name: one for name, one in wide.items() if name.startswith(begin)})
+    with pytest.raises(rs.FileFormatError, match="float32 beside others in float64"):
+        rs.Tracer.load(path)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_instances_of_all_bits_keep_them(precision: Any, tmp_path: Path) -> None:
+    faint = rs.Mesh(*icosphere(1)).with_mask(2)
+    scene = rs.Scene.instances(faint, PLACES, masks=[2**32 - 1, 2**32 - 1])
+    tracer = rs.Tracer(scene, precision=precision)
+    tracer.save(tmp_path / "a.npz")
+    for given in (None, scene):
+        loaded = rs.Tracer.load(tmp_path / "a.npz", given)
+        assert loaded.count_hits([0.1, 0.2, -9.0], [0.0, 0.0, 1.0], mask=1) == 2
+
+
+def test_many_objects_and_fields(tmp_path: Path) -> None:
+    count = 350
+    places = np.tile(np.eye(3, 4), (count, 1, 1))
+    places[:, 0, 3] = 3.0 * np.arange(count)
+    meshes = [rs.Mesh(*icosphere(0)).with_mask(k % 2 + 1) for k in range(count)]
+    objects = rs.Scene.instances(meshes, places, np.arange(count))
+    fields = [rs.Scene.height_field(np.eye(2) + k, mask=k % 2 + 1) for k in range(count)]
+    for scene in (objects, rs.Scene.combine(fields)):
+        tracer = rs.Tracer(scene)
+        tracer.save(tmp_path / "a.npz")
+        loaded = rs.Tracer.load(tmp_path / "a.npz")
+        origins = np.array([[3.0 * k + 0.2, 0.1, -9.0] for k in range(count)])
+        for mask in (1, 2):
+            found, wanted = (
+                one.multi_hit(origins, [0.0, 0.0, 1.0], mask=mask) for one in (loaded, tracer)
+            )
+            assert len(wanted.t)
+            for name in ("t", "prim_id", "instance_id", "mesh_id"):
+                assert_same_bits(getattr(found, name), getattr(wanted, name))
 
 
 @pytest.mark.parametrize("kind", ["spheres", "fields", "all primitives"])

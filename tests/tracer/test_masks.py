@@ -250,6 +250,9 @@ def test_runs_of_masks() -> None:
     runs = MaskRuns.of(np.array([0, 4, 4, 9, 12]), np.array([1, 5, 2, 2, 7], np.uint32))
     assert runs.starts.tolist() == [0, 4, 12]
     assert runs.masks.tolist() == [1, 2, 7]
+    # Asked for unless all rays have a bit of each run in common.
+    for masks, is_free in (([3, 7], True), ([3], True), ([3, 5], False), ([1, 2], False)):
+        assert runs.admit(np.array(masks, np.uint32)) is is_free
     none = MaskRuns.of(np.zeros(0), np.zeros(0, np.uint32))
     assert none.masks.tolist() == [ALL_BITS]
     assert not rs.Tracer(rs.Scene([])).any_hit([0, 0, 0], [0, 0, 1], mask=1)

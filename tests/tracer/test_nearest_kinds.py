@@ -383,3 +383,21 @@ def test_instances_from_afar() -> None:
     points = rng.normal(size=(200, 3)) * 10.0 ** rng.uniform(2.0, 12.0, (200, 1))
     tree, brute = both(scene)
     assert_same(tree.closest_points(points, 4), brute.closest_points(points, 4))
+
+
+@pytest.mark.parametrize("structure", ["bvh", "brute"])
+def test_invalid_points_are_around_nothing(structure: str) -> None:
+    rng = np.random.default_rng(6)
+    balls = rs.Scene.spheres(rng.uniform(-2, 2, (20, 3)), 0.5)
+    placed = rs.Scene.instances(balls, np.eye(3, 4))
+    points = rng.uniform(-2, 2, (60, 3))
+    wrong = np.concatenate([points[:3], np.full((4, 3), [[np.nan], [np.inf], [-np.inf], [1e308]])])
+    wrong[:3, 1] = np.nan, np.inf, 1e300
+    both = np.concatenate([points, wrong])
+    for scene in (balls, placed):
+        tracer = rs.Tracer(scene, structure)
+        numbers = tracer.winding_number(both)
+        np.testing.assert_array_equal(numbers[:60], tracer.winding_number(points))
+        assert np.isnan(numbers[60:]).all()
+        assert numbers[:60].any()
+        assert not tracer.contains(both)[60:].any()

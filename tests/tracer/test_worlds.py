@@ -171,3 +171,31 @@ def test_no_points_and_empty_worlds(rng):
     found = lone.closest_point([[0.0, 0.0, 0.0]] * 2, worlds=[1, 2])
     assert found.is_found.tolist() == [False, True]
     assert found.instance_id.tolist() == [-1, 5]
+
+
+@pytest.mark.parametrize("structure", ["bvh", "brute"])
+def test_one_world_in_float64(rng, structure):
+    scene = scene_of(rng)
+    whole = rs.Tracer(scene, structure, precision="float64")
+    origins = rng.uniform([-2, -2, -5], [28, 2, -4], (200, 3))
+    for world in range(-1, 4):
+        tracer = whole.in_world(world)
+        plain = rs.Tracer(scene.in_world(world), structure, precision="float64")
+        found, expected = (one.first_hit(origins, [0, 0, 1.0]) for one in (tracer, plain))
+        for name in ("t", "u", "v", "prim_id", "instance_id", "positions", "normals"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        assert found.is_hit.any()
+        np.testing.assert_array_equal(
+            whole.first_hit(origins, [0, 0, 1.0], worlds=world).t, found.t
+        )
+
+
+@pytest.mark.parametrize("kernel", ["single", "packet", "wavefront"])
+def test_instances_in_all_worlds_are_hit_once(rng, kernel):
+    scenes = [scene_of(np.random.default_rng(5), worlds) for worlds in (np.full(6, -1), None)]
+    origins = rng.uniform([-2, -2, -5], [28, 2, -4], (3000, 3))
+    tracer, brute = rs.Tracer(scenes[0], rs.Bvh(kernel=kernel)), rs.Tracer(scenes[1], "brute")
+    found = tracer.count_hits(origins, [0, 0, 1.0])
+    np.testing.assert_array_equal(found, brute.count_hits(origins, [0, 0, 1.0]))
+    assert found.max() == 2
+    assert len(tracer.multi_hit(origins, [0, 0, 1.0]).t) == found.sum()

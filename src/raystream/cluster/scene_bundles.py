@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -29,16 +30,15 @@ from raystream.scene.texture import Texture
 from raystream.structures.saved_stores import (
     arrays_of,
     instances_of,
-    object_arrays,
+    objects_of,
     part_of,
     primitives_of,
 )
 
 _ATTRIBUTES = ("vertices", "faces", "normals", "colors", "texcoords", "material_ids")
 
-#: How the names of `Store.saved_arrays` begin that are of instances, height fields and spheres;
-#: those of an object have its name before.
-_GEOMETRY = re.compile(r"(object\d+\.)?(object_ids|transforms|worlds|masks|field|spheres)")
+#: The names in `Store.saved_arrays` that are of instances, and of height fields and spheres.
+_GEOMETRY = re.compile(r"object_ids|transforms|worlds|masks|(object\d+\.)?(field|spheres)")
 
 _LIGHTS: dict[str, type[Light]] = {
     "point": PointLight,
@@ -73,7 +73,7 @@ def pack_scene(scene: Scene) -> tuple[dict[str, Any], Arrays]:
                 arrays[f"mesh {index} {name}"] = array
     textures = _textures_of(scene.materials)
     header = {
-        "meshes": [mesh.name for mesh in scene.meshes],
+        "meshes": [[mesh.name, mesh.mask] for mesh in scene.meshes],
         "materials": [_material_fields(material, textures) for material in scene.materials],
         "textures": [_pack_texture(texture, i, arrays) for i, texture in enumerate(textures)],
         "lights": [_pack_light(light, i, arrays) for i, light in enumerate(scene.lights)],
@@ -83,7 +83,8 @@ def pack_scene(scene: Scene) -> tuple[dict[str, Any], Arrays]:
     }
     geometry: Any = scene.geometry
     if geometry.instances is not None:
-        header["mesh_ranges"] = geometry.mesh_ranges
+        held = geometry.objects
+        header["objects"] = [[len(one.meshes), one.has_primitives] for one in held]
     if geometry.instances is not None or geometry.has_primitives:
         header["has_primitives"] = geometry.has_primitives
         own = arrays_of(scene.triangles).items()
@@ -94,12 +95,12 @@ def pack_scene(scene: Scene) -> tuple[dict[str, Any], Arrays]:
 def unpack_scene(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Scene:
     """Restore the scene packed by `pack_scene`, without camera and animation."""
     meshes = []
-    for index, name in enumerate(header["meshes"]):
+    for index, (name, mask) in enumerate(header["meshes"]):
         found = {key: arrays.get(f"mesh {index} {key}") for key in _ATTRIBUTES}
         vertices, faces = found.pop("vertices"), found.pop("faces")
         assert vertices is not None
         assert faces is not None
-        meshes.append(Mesh(vertices, faces, name=name, **found))  # type: ignore[arg-type]
+        meshes.append(Mesh(vertices, faces, name=name, mask=mask, **found))  # type: ignore[arg-type]
     textures = [_unpack_texture(fields, i, arrays) for i, fields in enumerate(header["textures"])]
     scene = Scene(
         meshes,
@@ -110,20 +111,23 @@ def unpack_scene(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
         name=header["name"],
     )
     own = part_of(arrays, "geometry")
-    if "mesh_ranges" in header:
+    if "objects" in header:
+        rest, held = iter(meshes), objects_of(own)
         objects = [
-            _geometry(meshes[first:end], object_arrays(own, k))
-            for k, (first, end) in enumerate(header["mesh_ranges"])
+            _geometry(list(itertools.islice(rest, count)), has_primitives, held.get(k, {}))
+            for k, (count, has_primitives) in enumerate(header["objects"])
         ]
         return scene.with_geometry(InstancedGeometry(objects, instances_of(own)))
-    return scene.with_geometry(_geometry(meshes, own)) if header.get("has_primitives") else scene
+    if header.get("has_primitives"):
+        return scene.with_geometry(_geometry(meshes, True, own))
+    return scene
 
 
-def _geometry(meshes: list[Mesh], arrays: Mapping[str, NDArray[Any]]) -> Geometry:
-    """Meshes, with the height fields and spheres of `Primitives.saved_arrays`, if there are any."""
-    if "spheres.radii" not in arrays:
-        return Geometry(meshes)
-    return PrimitiveGeometry(meshes, *primitives_of(arrays))
+def _geometry(
+    meshes: Sequence[Mesh], has_primitives: bool, arrays: Mapping[str, NDArray[Any]]
+) -> Geometry:
+    """The geometry of meshes, and of the height fields and spheres in arrays."""
+    return PrimitiveGeometry(meshes, *primitives_of(arrays)) if has_primitives else Geometry(meshes)
 
 
 def _textures_of(materials: Sequence[Material]) -> list[Texture]:

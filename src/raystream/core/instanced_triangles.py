@@ -343,8 +343,7 @@ class InstancedTriangles(PlacedHits):
         self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
     ) -> NDArray[np.bool_]:
         """Whether primitives are of the objects of instances."""
-        numbers: Any = self.numbers_of(prim_id, instance_id)
-        found = self.split_ids(numbers)
+        found = self.split_ids(self.numbers_of(prim_id, instance_id).astype(np.int32))
         return (found[0] == prim_id) & (found[1] == instance_id)
 
     def solid_numbers(self) -> NDArray[np.int64]:

@@ -37,9 +37,9 @@ class MaskRuns(NamedTuple):
         is_first = np.append(True, masks[1:] != masks[:-1])
         return cls(starts[is_first], masks[is_first])
 
-    def admit(self, mask: NDArray[np.uint32]) -> bool:
-        """Whether rays of one mask may hit all of the geometry."""
-        return len(mask) == 1 and bool((self.masks & mask).all())
+    def admit(self, masks: NDArray[np.uint32]) -> bool:
+        """Whether rays of these masks have bits in common with which each may hit everything."""
+        return bool((self.masks & np.bitwise_and.reduce(masks)).all())
 
 
 def as_masks(name: str, values: Any) -> NDArray[np.uint32]:

@@ -21,7 +21,8 @@ from raystream.core.atomic_write import atomic_write
 from raystream.core.errors import FileFormatError
 from raystream.core.memory import available_memory
 
-_MAX_MEMBERS = 1000
+#: More arrays are refused before they are read: each takes about 50 us.
+_MAX_MEMBERS = 1 << 18
 _KINDS = "biuf"
 
 

@@ -71,9 +71,8 @@ class PlacedHits(PrimitiveStore):
 
     def local_corners(self, numbers: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
         """See `Store.local_corners`."""
-        prim_id, instance_id = self.ids_of(numbers.astype(np.int32))
-        assert instance_id is not None
-        corners = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
+        ids: Any = self.ids_of(numbers.astype(np.int32))
+        corners = self.points_to_world(self.corners_at(*ids), ids[1])
         return (corners - self.center) * self.scale
 
     def touching_corners(self, hits: HitColumns) -> NDArray[np.float64]:

@@ -126,7 +126,7 @@ def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]
     """The kernels that find closest points, by structure, with arguments of the right types."""
     to = NearestArrays(*[_AT] * 6)
     kinds = {f", {kind}": held.triangles for kind, held in scenes_of_kinds(scene).items()}
-    stores = {"": scene.triangles, **kinds, ", float64": float64_triangles(scene)}
+    stores = {"": scene.triangles, **kinds, ", float64": float64_triangles(scene.geometry)}
     made = {}
     for (kind, store), name in product(stores.items(), names_with("nearest search")):
         structure = build_on_cpu(options_of(name), store)

@@ -1,6 +1,7 @@
 """Winding numbers in scenes of any kind: sums over parts, each in a frame of its own.
 
-An affine transform keeps winding numbers, up to the sign of its determinant. Instances keep that,
+An affine transform keeps winding numbers of closed surfaces, up to the sign of its determinant; of
+open ones, they are those in object space. Instances keep that,
 too: the front of a mirrored one stays in front, as if its faces were turned.
 """
 
@@ -41,11 +42,13 @@ def scene_winding(
         rows = _rows_near(part, points, by_x)
         if len(rows):
             numbers[rows] += winding_of(part.triangles, part.moved(points[rows]), report, own)
-    places = np.ascontiguousarray(points, np.float64)
-    calls = structure.on_host.around_calls(places, numbers)
+    # Only valid points: a NaN is no further from a tree's absent boxes than from the others.
+    places, around = np.ascontiguousarray(points[valid], np.float64), np.zeros(len(valid))
+    calls = structure.on_host.around_calls(places, around)
     if calls is not None:
         most = structure.rays_per_call
-        run_calls(calls, (0, len(points)), CallSize(structure.least_rays, most))
+        run_calls(calls, (0, len(valid)), CallSize(structure.least_rays, most))
+        numbers[valid] += around
     return numbers
 
 

@@ -74,15 +74,9 @@ class PlacedSolids:
         joined = [np.concatenate([[], *column]) for column in columns[:5]]
         self._volumes, is_closed = joined[4], joined[0].astype(bool)
         self.is_closed: NDArray[np.bool_] = is_closed[rows]
-        is_closed_mesh, is_flipped, is_empty, has_slivers = map(self._by_mesh, joined[:4])
-        self.solids = Solids(
-            is_closed_mesh,
-            is_flipped,
-            is_empty,
-            has_slivers,
-            self._volumes,
-            all(one.is_closed_together for one in found),
-        )
+        closed, flipped, empty, has_slivers = map(self._by_mesh, joined[:4])
+        is_closed_together = all(one.is_closed_together for one in found)
+        self.solids = Solids(closed, flipped, empty, has_slivers, self._volumes, is_closed_together)
         self.corners = triangles.object_corners()
         self._instances = instance_records(triangles, np.arange(len(ids)))
         self._objects = object_records(structure.objects)

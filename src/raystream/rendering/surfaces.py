@@ -47,13 +47,15 @@ def tables_at(
     context: RenderContext, hits: Hits | MultiHits
 ) -> tuple[SceneTables, tuple[Any, ...], object]:
     """The tables of the surfaces that are hit, the hits' columns for them, and what to keep."""
-    if context.objects is not None:
-        if isinstance(context.objects, MeshTables):
-            return primitive_tables(context.tables, context.objects, hits)
-        return placed_tables(context.tables, context.objects, hits)
+    kept: object = None
+    tables, columns = context.tables, (hits.t, hits.u, hits.v, hits.prim_id)
+    if isinstance(context.objects, MeshTables):
+        tables, columns, kept = primitive_tables(context.tables, context.objects, hits)
+    elif context.objects is not None:
+        tables, columns, kept = placed_tables(context.tables, context.objects, hits)
     # Shading is in float32, of triangles whose corners were rounded, as offsets of rays allow for.
-    places = (column.astype(np.float32, copy=False) for column in (hits.t, hits.u, hits.v))
-    return context.tables, (*places, hits.prim_id), None
+    *places, prim_id = columns
+    return tables, (*(one.astype(np.float32, copy=False) for one in places), prim_id), kept
 
 
 def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | MeshTables | None:

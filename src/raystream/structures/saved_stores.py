@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -19,10 +21,13 @@ from raystream.core.masks import ALL_BITS
 from raystream.core.primitives import Primitives
 from raystream.core.spheres import Spheres
 from raystream.core.store import Store
-from raystream.core.triangles import Triangles
+from raystream.core.triangles import MAX_COORDINATE, Triangles
 from raystream.structures.saved import take
 
 Arrays = Mapping[str, NDArray[Any]]
+
+#: A scene that is made of a file has as many materials as the largest number says.
+_MOST_MATERIALS = 1 << 20
 
 
 def store_of(kinds: Any, arrays: Arrays) -> Store:
@@ -50,10 +55,11 @@ def _with_masks(make: Callable[[Arrays], Store], arrays: Arrays) -> Store:
 
 def arrays_of(store: Store) -> dict[str, NDArray[Any]]:
     """`Store.saved_arrays`; and its masks, where there are any."""
+    # An instance's own mask, even of all bits, replaces those of its meshes; 0 is none.
     held = {
         f"masks.{name}": masks
         for name, masks in store.saved_masks().items()
-        if (masks != ALL_BITS).any()
+        if (masks != (0 if name == "instances" else ALL_BITS)).any()
     }
     return store.saved_arrays() | held
 
@@ -71,6 +77,21 @@ def part_of(arrays: Arrays, name: str) -> dict[str, NDArray[Any]]:
     return {
         key.removeprefix(begin): array for key, array in arrays.items() if key.startswith(begin)
     }
+
+
+def _numbered(arrays: Arrays, word: str) -> dict[int, dict[str, NDArray[Any]]]:
+    """`part_of` by the number behind a word, all in one go: there may be many."""
+    found: dict[int, dict[str, NDArray[Any]]] = {}
+    name_of = re.compile(rf"{word}(\d{{1,9}})\.(.*)", re.ASCII | re.DOTALL)
+    for key, array in arrays.items():
+        parts = name_of.fullmatch(key)
+        if parts:
+            found.setdefault(int(parts[1]), {})[parts[2]] = array
+    return found
+
+
+def _from_zero(found: dict[int, dict[str, NDArray[Any]]]) -> list[dict[str, NDArray[Any]]]:
+    return [found[k] for k in itertools.takewhile(found.__contains__, itertools.count())]
 
 
 def _masks(arrays: Arrays, name: str, count: int) -> NDArray[np.uint32]:
@@ -120,18 +141,21 @@ def _float64(arrays: Arrays) -> Float64Triangles:
 
 def _instances(arrays: Arrays) -> InstancedTriangles:
     objects: list[Store] = []
-    while own := object_arrays(arrays, len(objects)):
+    for own in _from_zero(objects_of(arrays)):
         kind = "spheres" if "spheres.radii" in own else "float64" if "vertices" in own else ""
         objects.append(_with_masks(_MAKERS[kind], own))
+    if len({one.number_type for one in objects}) > 1:  # kernels read blocks of one size
+        raise ValueError("holds objects in float32 beside others in float64")
     splits = _splits(arrays, sum(map(len, objects)))
     return InstancedTriangles(objects, instances_of(arrays), splits, Attributes(()))
 
 
-def object_arrays(arrays: Arrays, k: int) -> dict[str, NDArray[Any]]:
-    """The arrays of object k of `InstancedTriangles.saved_arrays`, with its masks."""
-    masks = part_of(arrays, f"masks.object{k}")
-    held = {f"masks.{name}": one for name, one in masks.items()}
-    return part_of(arrays, f"object{k}") | held
+def objects_of(arrays: Arrays) -> dict[int, dict[str, NDArray[Any]]]:
+    """The arrays of each object of `InstancedTriangles.saved_arrays`, with its masks."""
+    found = _numbered(arrays, "object")
+    for k, masks in _numbered(part_of(arrays, "masks"), "object").items():
+        found.setdefault(k, {}).update({f"masks.{name}": one for name, one in masks.items()})
+    return found
 
 
 def instances_of(arrays: Arrays) -> Instances:
@@ -153,15 +177,16 @@ def _primitives(arrays: Arrays) -> Primitives:
 
 def primitives_of(arrays: Arrays) -> tuple[list[HeightField], Spheres]:
     """The height fields and spheres of `Primitives.saved_arrays`."""
-    fields: list[HeightField] = []
-    while own := part_of(arrays, f"field{len(fields)}"):
-        fields.append(_field(own))
+    fields = [_field(own) for own in _from_zero(_numbered(arrays, "field"))]
     own = part_of(arrays, "spheres")
     spheres = Spheres.of(
         take(own, "centers", np.float64, (None, 3)),
         take(own, "radii", np.float64, (None,)),
         take(own, "material_ids", np.int32, (None,)),
     )
+    most = max([spheres.material_ids.max(initial=0), *(one.material_id for one in fields)])
+    if most >= _MOST_MATERIALS:
+        raise ValueError(f"holds the number of a material beyond {_MOST_MATERIALS:,}")
     spheres = dataclasses.replace(spheres, masks=_masks(arrays, "spheres", len(spheres)))
     for field, mask in zip(fields, _masks(arrays, "fields", len(fields)), strict=True):
         field.mask = int(mask)
@@ -176,10 +201,11 @@ def _field(arrays: Arrays) -> HeightField:
     y = take(arrays, "y", np.float64, (heights.shape[0],))
     base, material_id = take(arrays, "base", np.float64, (2,)).tolist()
     for axis in (x, y):
-        steps = np.diff(axis)
-        if not (np.isfinite(axis).all() and ((steps > 0.0).all() or (steps < 0.0).all())):
+        is_near = bool((np.abs(axis) <= MAX_COORDINATE).all())
+        steps = np.diff(axis) if is_near else axis
+        if not (is_near and ((steps > 0.0).all() or (steps < 0.0).all())):
             raise ValueError("the samples of a height field are not in order")
-    if not (math.isfinite(base) and 0 <= material_id < 2**31 and material_id % 1.0 == 0.0):
+    if not (abs(base) <= MAX_COORDINATE and 0 <= material_id < 2**31 and material_id % 1.0 == 0.0):
         raise ValueError("a height field has an invalid base or material")
     return HeightField(heights, x, y, base, int(material_id))
 

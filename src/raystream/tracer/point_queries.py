@@ -318,7 +318,9 @@ class PointQueries(RayCaster):
         sums.
 
         Each sphere around a point adds 1, and 1/2 where the point is on it. Instances add the
-        numbers of their objects, also where they mirror: their fronts stay in front.
+        numbers of their objects, also where they mirror: their fronts stay in front. These are
+        sums in object space: of an open surface, a transform that shears or that scales axes
+        differently would change the solid angles, so `Scene.flattened` may give other numbers.
 
         References
         ----------

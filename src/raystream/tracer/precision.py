@@ -24,7 +24,7 @@ def triangles_of(scene: Any, precision: str) -> Any:
     ValueError
         If the precision is unknown.
     RaystreamError
-        If the scene has instances, spheres or height fields, and the precision is float64.
+        If the scene has spheres or height fields, and the precision is float64.
     """
     if precision not in ("float32", "float64"):
         raise ValueError(f"precision: expected 'float32' or 'float64', got {precision!r}")

@@ -49,7 +49,9 @@ class WorldTracer(TracedScene):
         scene = self.scene.in_world(world)
         structure: Any = self.structure
         other = type(self).__new__(type(self))
-        made = {"_scene": scene, "structure": structure.moved(scene.triangles)}
+        # The structure's geometry, not the scene's: it has the objects in the tracer's precision.
+        triangles = structure.triangles.moved(scene.placements)
+        made = {"_scene": scene, "structure": structure.moved(triangles)}
         other.__setstate__({**self.__getstate__(), **made})
         return other
 

@@ -157,3 +157,20 @@ def test_thickness_of_scaled_balls() -> None:
     found = rs.thickness(made, [-10.0, 0.01, 0.02], [1.0, 0, 0])
     assert found.instance_id.tolist() == [0, 1]
     np.testing.assert_allclose(found.t_exit - found.t_entry, [4.0, 2.0], rtol=0.02)
+
+
+@pytest.mark.parametrize("size", [1.0, 1000.0])
+def test_images_with_lamps_are_those_in_float32(size: float) -> None:
+    box = rs.load("cornell")
+    place = np.eye(4)[:3] * [size, size, size, 1.0]
+    eye, target = (np.array(one) * size for one in (box.camera.eye, box.camera.look_at))
+    camera = rs.Camera(tuple(eye), tuple(target), fov=box.camera.fov)
+    made = rs.Scene.instances([box], place[None], camera=camera)
+    wide, narrow = (
+        rs.render(
+            rs.Tracer(made, precision=one), "path", size=(24, 24), samples=64, layers=["depth"]
+        )
+        for one in ("float64", "float32")
+    )
+    np.testing.assert_allclose(wide.pixels.mean(), narrow.pixels.mean(), rtol=1e-3)
+    np.testing.assert_allclose(wide.layers["depth"], narrow.layers["depth"], rtol=1e-4)

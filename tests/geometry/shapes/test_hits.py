@@ -49,6 +49,15 @@ def test_scenes_of_all_kinds(kernel, offset) -> None:
     assert assert_like_brute_force(scene, rays_near(rng, 1500, offset), kernel) > 500
 
 
+@pytest.mark.parametrize("other", ["spheres", "field"])
+def test_shapes_beside_one_tree_in_flight(other) -> None:
+    rng = np.random.default_rng(4)
+    spheres = rs.Scene.spheres(rng.uniform(-4, 4, (20, 3)), 0.5)
+    ground = rs.Scene.height_field(rng.random((9, 9)), origin=[-4] * 3)
+    scene = rs.Scene.combine([spheres if other == "spheres" else ground, some(["ball"], 3, 5)])
+    assert assert_like_brute_force(scene, rays_near(rng, 1500), "wavefront") > 300
+
+
 @settings(max_examples=15, deadline=None)
 @given(
     names=st.lists(st.sampled_from(list(CASES)), min_size=1, max_size=3),

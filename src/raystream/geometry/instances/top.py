@@ -94,7 +94,7 @@ class TopTrees(NamedTuple):
     @classmethod
     def of(cls, boxes: Triangles, instances: Instances) -> TopTrees:
         """Build the trees over the boxes of `world_frame`."""
-        if instances.worlds is None:
+        if not instances.world_count:  # also if all instances are in all worlds
             tree = build_arrays(boxes, "balanced", 1)
             order = np.ascontiguousarray(tree.prim_ids[:, 0])
             ends = np.array([[0, len(tree.nodes)], [0, len(order)]])[:, [0, 1, 1]]

@@ -75,7 +75,7 @@ def count_around(begin, end, points, held, frame, numbers):
     ----------
     begin, end : int
     points : ndarray of shape (N, 3), float64
-        World space; invalid ones count nothing.
+        World space, finite.
     held : PrimitiveAddresses
     frame : SceneFrame
     numbers : ndarray of shape (N,), float64

@@ -1,6 +1,6 @@
 """Many single rays in flight through a tree of spheres; see `structures.bvh.walks.in_flight`.
 
-Before its result is written, a ray is searched for triangles and height fields, by itself.
+Before its result is written, a ray is searched for what the other trees have, by itself.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def primitive_wavefront(searches: SlotSearches, search_leaf: Any, kind: TreeKind
         """Search the other trees for a slot's ray, which has been through the one in flight."""
         others = tree.others
         is_empty = others.nodes == NULL and others.sphere_nodes == NULL
-        if is_empty and others.field_count == ZERO_U64:
+        if is_empty and others.shape_nodes == NULL and others.field_count == ZERO_U64:
             return
         if slot.ray < np.int64(0) or (wanted.wants_any and slot.prim_id != NO_PRIM):
             return
