@@ -31,10 +31,10 @@ for room in ("kernels", "structures", "rendering", "physics", "machines"):
         importlib.import_module(found.name)
 
 def reach(dispatcher, met):
+    # Functions that another one makes have the same name.
     function = dispatcher.py_func
-    name = f"{function.__module__}.{function.__qualname__}"
-    if name not in met:
-        met.add(name)
+    if dispatcher not in met:
+        met[dispatcher] = f"{function.__module__}.{function.__qualname__}"
         steps = dis.get_instructions(function)
         used = [function.__globals__.get(s.argval) for s in steps if s.opname == "LOAD_GLOBAL"]
         used += [cell.cell_contents for cell in function.__closure__ or ()]
@@ -44,7 +44,7 @@ def reach(dispatcher, met):
     return met
 
 keys = {name: fingerprint(kernel) for name, kernel in KERNELS.items()}
-reached = {name: sorted(reach(kernel, set())) for name, kernel in KERNELS.items()}
+reached = {name: sorted(reach(kernel, {}).values()) for name, kernel in KERNELS.items()}
 print(json.dumps([keys, reached]))
 """
 
