@@ -46,7 +46,7 @@ def test_an_empty_scene(make_tracer, tmp_path):
 @pytest.mark.parametrize("make_tracer", EVERY_TREE, indirect=True)
 def test_another_scene_is_refused(make_tracer, scene, tmp_path):
     make_tracer(scene).save(tmp_path / "x.npz")
-    with pytest.raises(rs.FileFormatError, match="other triangles"):
+    with pytest.raises(rs.FileFormatError, match="other geometry"):
         rs.Tracer.load(tmp_path / "x.npz", rs.Scene.from_arrays(*soup(10)))
 
 

@@ -94,15 +94,15 @@ class TopTrees(NamedTuple):
     @classmethod
     def of(cls, boxes: Triangles, instances: Instances) -> TopTrees:
         """Build the trees over the boxes of `world_frame`."""
-        if not instances.world_count:  # also if all instances are in all worlds
+        given = instances.worlds
+        if given is None or not instances.world_count:  # also if all instances are in all worlds
             tree = build_arrays(boxes, "balanced", 1)
             order = np.ascontiguousarray(tree.prim_ids[:, 0])
             ends = np.array([[0, len(tree.nodes)], [0, len(order)]])[:, [0, 1, 1]]
             return cls(tree.nodes, order, *ends)
         count, held = instances.world_count, boxes.prim_ids
-        inside = held[instances.worlds[held] >= 0]
-        shared = held[instances.worlds[held] < 0]
-        corners, worlds = boxes.corners, instances.worlds[inside].astype(np.int64)
+        inside, shared = held[given[held] >= 0], held[given[held] < 0]
+        corners, worlds = boxes.corners, given[inside].astype(np.int64)
         grouped = grouped_trees(corners[inside, 0], corners[inside, 1], worlds, count)
         common = build_arrays(_some(boxes, shared), "balanced", 1)
         nodes = aligned_array(len(grouped.nodes) + len(common.nodes), NODE_FLOATS)
