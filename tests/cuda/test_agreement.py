@@ -14,7 +14,7 @@ need("numba_cuda")
 import raystream as rs
 import test_float64 as float64
 from cases import CASES
-from conftest import CUDA_TRACERS, FLOAT64, FLOAT64_CUDA_TRACERS, GPU_TRACERS
+from conftest import CUDA_TRACERS, FLOAT64, FLOAT64_CUDA_TRACERS, GPU_TRACERS, assert_same_bits
 from meshes import icosphere
 from raystream.jit.cuda import is_simulated
 from test_agreement import answers_of, assert_expected, case_of, rays_of
@@ -126,18 +126,20 @@ def test_what_float64_does_not_support_is_named(gpu, options, message):
         rs.Tracer(rs.load("cornell"), **{**FLOAT64, **options})
 
 
-def test_queries_that_float64_does_not_support_are_named(gpu):
-    tracer = rs.Tracer(rs.load("cornell"), **FLOAT64)
-    ray = [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]
-    for call in (
-        lambda: tracer.trace(*ray, on_hit=lambda hit, payload: None),
-        lambda: tracer.first_hit(*ray, on_hit=lambda hit: True),
-        lambda: tracer.any_hit(*ray, skip_prim_ids=[1]),
-        lambda: tracer.closest_point([0.0, 0.0, 0.0]),
-        lambda: rs.render(tracer, "path", size=(4, 4)),
+def test_float64_gives_the_bits_of_the_cpu(gpu):
+    scene = rs.load("cornell")
+    ours, theirs = rs.Tracer(scene, **FLOAT64), rs.Tracer(scene, precision="float64")
+    ray = [278.0, 273.0, -800.0], [[0.0, 0.0, 1.0], [0.1, -0.2, 1.0]]
+    for ask in (
+        lambda tracer: tracer.first_hit(*ray, on_hit=_is_far).t,
+        lambda tracer: tracer.count_hits(*ray, skip_prim_ids=1),
+        lambda tracer: tracer.closest_point([278.0, 273.0, 280.0]).positions,
     ):
-        with pytest.raises(rs.RaystreamError, match="not supported with precision='float64'"):
-            call()
+        assert_same_bits(ask(ours), ask(theirs))
+
+
+def _is_far(hit):
+    return hit.t > 1000.0
 
 
 @pytest.mark.parametrize("tracer", CUDA_TRACERS)
