@@ -134,7 +134,8 @@ class Backend(ABC):
         sink = Sink.of(query, len(rays), records, kind=kind)
         is_program = query.kind is Kind.TRACE
         if not is_program and (query.on_hit is None or query.limit == 0):
-            self.run(query._replace(on_hit=None), rays, sink, progress)
+            plain = query if query.on_hit is None else query._replace(on_hit=None)
+            self.run(plain, rays, sink, progress)
         elif self.run_program(query, rays, sink, progress):
             pass
         elif query.kind is Kind.ANY_HIT:

@@ -47,11 +47,10 @@ class Branching(Backend):
         to twice the memory of the hits.
         """
         structure, is_whole = self.structure, query.kind is Kind.MULTI_HIT
-        masks, runs = rays.masks, structure.triangles.mask_runs
-        table = None if masks is None or runs.admit(masks) else MaskTable.of(masks, runs)
-        if table is not None:
-            given = NO_FILTER if query.on_hit is None else query.on_hit
-            on_hit = masked(given, table.address, structure.triangles)
+        masks, table = rays.masks, None  # the table is kept until all rays are traced
+        if masks is not None and not (runs := structure.triangles.mask_runs).admit(masks):
+            table = MaskTable.of(masks, runs)
+            on_hit = masked(query.on_hit or NO_FILTER, table.address, structure.triangles)
             query = query._replace(on_hit=on_hit)
         if is_whole and (sink.tallies is not None or query.limit == 0):
             fill = partial(trace_batch, structure, query, rays)
