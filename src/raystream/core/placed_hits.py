@@ -135,7 +135,11 @@ class PlacedHits(PrimitiveStore):
         """Origins of rays that leave hits, world space; see `Hits.spawn`."""
         if self.number_type is np.float64:
             return self._spawned_in_float64(hits, directions)
-        return super().spawned(hits, directions)
+        origins = super().spawned(hits, directions)
+        is_sphere, rows, normals = self._on_spheres(hits)
+        ids = hits.instance_id[is_sphere]
+        origins[is_sphere] = self.beside(rows, normals, directions[is_sphere], ids)
+        return origins
 
     def beside(
         self,

@@ -52,17 +52,6 @@ class PrimitiveStore(Store):
         is_sphere = rows >= 0
         return is_sphere, rows[is_sphere], directions_at(hits.u[is_sphere], hits.v[is_sphere])
 
-    def spawned(self, hits: HitColumns, directions: NDArray[Any]) -> NDArray[np.float64]:
-        """Origins of rays that leave hits, world space; see `Hits.spawn`.
-
-        A ray into a sphere does not meet the point that it leaves, but the sphere's other side.
-        """
-        origins = super().spawned(hits, directions)
-        is_sphere, rows, normals = self._on_spheres(hits)
-        ids = hits.instance_id[is_sphere]
-        origins[is_sphere] = self.beside(rows, normals, directions[is_sphere], ids)
-        return origins
-
     def beside(
         self,
         rows: NDArray[np.int64],

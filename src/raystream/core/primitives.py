@@ -364,7 +364,7 @@ class Primitives(PrimitiveStore):
 
         A ray into a sphere or a shape does not meet the point that it leaves, but the other side.
         """
-        origins, found = super(PrimitiveStore, self).spawned(hits, directions), self._curved(hits)
+        origins, found = super().spawned(hits, directions), self._curved(hits)
         side = np.einsum("ij,ij->i", found.normals, directions[found.is_curved])
         side = np.where(side >= 0.0, 1.0, -1.0)
         away = (found.reaches + side * found.leaving)[:, None] * found.normals

@@ -111,12 +111,8 @@ class Shape:
             raise TypeError("normal: expected a function, or one for distance=")
         if hits not in range(1, MOST_HITS + 1):
             raise ValueError(f"hits: expected an integer from 1 to {MOST_HITS}, got {hits!r}")
-        self.bounds, self.intersect, self.distance, self.normal = (
-            bounds,
-            intersect,
-            distance,
-            normal,
-        )
+        self.bounds, self.intersect = bounds, intersect
+        self.distance, self.normal = distance, normal
         for role in ARGUMENTS:
             if getattr(self, role) is not None:
                 place_of(role, getattr(self, role))
@@ -150,8 +146,8 @@ class Shape:
         ValueError
             If a crossing is outside the bounds of its shape, has no normal, or has a distance other
             than 0; or if a distance is larger than that of a crossing, or does not lead to the
-            surface. The text has the function's
-            name, file and line, the record's number, and the crossing.
+            surface. The text has the function's name, file and line, the record's number, and the
+            crossing.
         RaystreamError
             If a function fails, see `Scene.shapes`.
         """
